@@ -1,0 +1,148 @@
+"""What a person sees of a run: a live panel on a terminal, plain lines in a log file."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+from ril.config import Config
+from ril.methods import base
+from ril.record import Record
+from ril.report.paper import paper_cell
+
+_LINE_SECONDS = 10.0  # between two lines of a log file
+
+
+class ConsoleDisplay:
+    """Shows one run on a console.
+
+    Args:
+        console: where to write.
+        live: a panel that is redrawn, for terminals; otherwise a line every few seconds.
+    """
+
+    def __init__(self, console: Console, *, live: bool) -> None:
+        self._console = console
+        self._is_live = live
+        self._live: Live | None = None
+        self._bar = Progress(TextColumn("{task.description}"), BarColumn(None), expand=True)
+        self._task = self._bar.add_task("")
+        self._config: Config | None = None
+        self._folder = Path()
+        self._epochs_at_start: int | None = None
+        self._started = self._printed = 0.0
+
+    def started(self, config: Config, folder: Path) -> None:
+        """Say what is run and where it goes."""
+        self._config, self._folder = config, folder
+        self._started = self._printed = time.monotonic()
+        cell = f"env={config.env.name} method={config.method.name}"
+        going_on = ", going on from its checkpoint" if (folder / "checkpoint.pt").exists() else ""
+        self._console.print(
+            f"{cell}: {len(config.seeds)} seeds together, {config.method.epochs} epochs{going_on}"
+        )
+        if self._is_live:
+            self._live = Live(console=self._console, transient=True, refresh_per_second=4)
+            self._live.start()
+
+    def advanced(self, progress: base.Progress, record: Record) -> None:
+        """Show where training stands."""
+        assert self._config is not None
+        if self._epochs_at_start is None:
+            self._epochs_at_start = progress.epoch - 1
+        now, total = time.monotonic(), self._config.method.epochs
+        done = progress.epoch - self._epochs_at_start
+        left = (now - self._started) / done * (total - progress.epoch)
+        facts = _facts(progress, record) | {"time left": _duration(left)}
+        if self._live is not None:
+            self._bar.update(
+                self._task,
+                completed=progress.epoch,
+                total=total,
+                description=f"epoch {progress.epoch} of {total}",
+            )
+            grid = Table.grid(padding=(0, 2))
+            for name, value in facts.items():
+                grid.add_row(name, value)
+            self._live.update(Group(self._bar, grid))
+        elif now - self._printed >= _LINE_SECONDS or progress.epoch == total:
+            self._printed = now
+            text = "  ".join(f"{name} {value}" for name, value in facts.items())
+            self._console.print(f"epoch {progress.epoch}/{total}  {text}", soft_wrap=True)
+
+    def scoring(self) -> None:
+        """Say that training is over."""
+        self.stop()
+        assert self._config is not None
+        episodes = self._config.evaluation.episodes
+        self._console.print(f"scoring the best and the last policies on {episodes} fresh episodes")
+
+    def stop(self) -> None:
+        """Give the terminal back."""
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def finished(self, rows: Path, *, skipped: bool) -> None:
+        """Show the rows, their mean beside the paper's number, and the folder."""
+        frame = pd.read_csv(rows)
+        table = Table("seed", "AER", "± episodes", "last", "performance", "samples to best", "epochs")
+        for column in table.columns:
+            column.justify = "right"
+        for row in frame.itertuples():
+            table.add_row(
+                str(row.seed),
+                f"{row.aer:.2f}",
+                f"{row.aer_std:.2f}",
+                f"{row.aer_last:.2f}",
+                f"{row.performance:.3f}",
+                f"{row.samples_to_best:,}",
+                str(row.epochs),
+            )
+        self._console.print(table)
+        first = frame.iloc[0]
+        spread = f"{frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f} over {len(frame)} seeds"
+        self._console.print(f"AER {spread}, performance {frame.performance.mean():.3f}")
+        paper = paper_cell(first)
+        if paper is not None:
+            self._console.print(f"the paper says {paper}")
+        if skipped:
+            self._console.print("finished before, so not run again; resume=false runs it anew")
+        self._console.print(str(rows.parent), soft_wrap=True)
+
+
+def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
+    """Names and values of what is shown after an epoch."""
+    samples = progress.env_samples + progress.expert_samples
+    facts = {}
+    if record.curve:
+        epoch = record.curve[-1].epoch
+        latest = np.array([point.aer for point in record.curve if point.epoch == epoch])
+        facts["return"] = f"{_mean_and_std(latest)} (best so far {record.best_aer.mean():.1f})"
+    facts["samples"] = f"{samples.mean():,.0f}"
+    for name, metric, form in (
+        ("inverse dynamics", "inverse_dynamics_accuracy", ".0%"),
+        ("ε", "epsilon", ".3f"),
+    ):
+        if metric in progress.metrics:
+            facts[name] = format(progress.metrics[metric].mean(), form)
+    if progress.stopped.any():
+        facts["stopped"] = f"{progress.stopped.sum()} of {len(progress.stopped)} seeds"
+    return facts
+
+
+def _mean_and_std(values: NDArray[np.float64]) -> str:
+    return f"{values.mean():.1f} ± {values.std():.1f}"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

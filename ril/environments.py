@@ -1,0 +1,104 @@
+"""What an environment is here: its Gymnasium id, its goal, and the scale of its observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from ril.config import EnvironmentConfig, GoalConfig
+from ril.errors import UserError
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Environment:
+    """One task, with all that the methods need to know of it.
+
+    Attributes:
+        config: what `conf/env/*.yaml` says.
+        observation_size: entries of one observation.
+        action_count: |A|, the number of discrete actions.
+        low: (observation_size,) raw observation that is scaled to −1.
+        high: (observation_size,) raw observation that is scaled to 1.
+        max_episode_steps: steps after which an episode is truncated.
+    """
+
+    config: EnvironmentConfig
+    observation_size: int
+    action_count: int
+    low: Floats
+    high: Floats
+    max_episode_steps: int
+
+    def make(self) -> gym.Env:
+        """One fresh copy of the environment, without the passive checker."""
+        return gym.make(self.config.id, disable_env_checker=True, **self.config.kwargs)
+
+    def scale(self, observations: NDArray[np.floating]) -> Floats:
+        """Raw observations (..., observation_size) to about [−1, 1] (docs/deviations.md, 5)."""
+        center, half = (self.high + self.low) / 2, (self.high - self.low) / 2
+        return ((observations - center) / half).astype(np.float32)
+
+
+def load_environment(config: EnvironmentConfig) -> Environment:
+    """Look the environment up and check that RIL can act in it.
+
+    Raises:
+        UserError: the id is unknown, the spaces are not a box of floats and discrete
+            actions, or a bound of the observations is neither finite nor given.
+    """
+    try:
+        probe = gym.make(config.id, disable_env_checker=True, **config.kwargs)
+    except (gym.error.Error, ImportError, TypeError) as error:
+        raise UserError(f"env.id={config.id}: {error}") from None
+    observations, actions = probe.observation_space, probe.action_space
+    spec = probe.spec
+    probe.close()
+    if not isinstance(observations, gym.spaces.Box) or len(observations.shape) != 1:
+        raise UserError(f"env.id={config.id}: observations are {observations}, need a 1-d Box")
+    if not isinstance(actions, gym.spaces.Discrete) or actions.start != 0:
+        raise UserError(f"env.id={config.id}: actions are {actions}, need Discrete(n)")
+    if spec is None or spec.max_episode_steps is None:
+        raise UserError(f"env.id={config.id}: has no max_episode_steps, so it may never end")
+
+    size = observations.shape[0]
+    bounds = []
+    for name, given, of_space in (
+        ("observation_low", config.observation_low, observations.low),
+        ("observation_high", config.observation_high, observations.high),
+    ):
+        bound = np.asarray(of_space if given is None else given, dtype=np.float32)
+        if bound.shape != (size,):
+            raise UserError(f"env.{name}: has {bound.size} entries, {config.id} needs {size}")
+        if not np.isfinite(bound).all():
+            raise UserError(f"env.{name}: {config.id} is unbounded, give {size} finite numbers")
+        bounds.append(bound)
+    low, high = bounds
+    if (low >= high).any():
+        raise UserError("env.observation_low: must lie below env.observation_high everywhere")
+    return Environment(config, size, int(actions.n), low, high, spec.max_episode_steps)
+
+
+def reaches_goal(
+    goal: GoalConfig,
+    *,
+    returns: NDArray[np.floating],
+    final_rewards: NDArray[np.floating],
+    terminated: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Which episodes reach the environment's goal (§3.2), element by element.
+
+    An episode does when it meets every condition that `goal` sets.
+    """
+    reached = np.ones(np.shape(returns), dtype=bool)
+    if goal.minimum_return is not None:
+        reached &= returns >= goal.minimum_return
+    if goal.minimum_final_reward is not None:
+        reached &= final_rewards >= goal.minimum_final_reward
+    if goal.terminated is not None:
+        reached &= terminated == goal.terminated
+    return reached

@@ -1,0 +1,80 @@
+"""Behavioural cloning: the policy learns to take the labelled actions (§3.2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ril.config import CloningConfig
+from ril.learners.inverse_dynamics import cross_entropy
+from ril.learners.q_learning import sample_softmax
+from ril.vectorized.networks import Network
+from ril.vectorized.streams import Streams
+from ril.vectorized.updates import ClippedAdam
+
+
+class Cloning:
+    """Cross-entropy of S policies on the expert's states T^e and the labels given for them.
+
+    Args:
+        policy: from obs features to |A| logits.
+        config: `method.cloning`.
+        streams: from which the order of samples is drawn.
+    """
+
+    def __init__(self, policy: Network, config: CloningConfig, streams: Streams) -> None:
+        self.policy = policy
+        self.config = config
+        self._streams = streams
+        self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
+
+    def train(self, observations: Tensor, labels: Tensor) -> Tensor:
+        """Algorithm 1, line 9: passes over all samples in minibatches, each in a new order.
+
+        Args:
+            observations: (M, obs) states of the expert, the same for all seeds.
+            labels: (S, M) actions.
+
+        Returns:
+            (S,) mean loss over the last pass.
+        """
+        samples, device = len(observations), observations.device
+        orders = torch.from_numpy(self._streams.permutations(self.config.passes, samples))
+        total = torch.zeros(len(labels), device=device)
+        for order in orders.to(device).unbind(dim=1):
+            total.zero_()
+            for chosen in order.split(self.config.batch_size, dim=1):
+                losses = cross_entropy(self.policy(observations[chosen]), labels.gather(1, chosen))
+                self._optimizer.step(losses)
+                total += losses.detach() * chosen.shape[1]
+        return total / samples
+
+    def state_dict(self) -> dict[str, Any]:
+        """Optimiser and random streams; the policy belongs to the method."""
+        return {"optimizer": self._optimizer.state_dict(), "streams": self._streams.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._streams.load_state_dict(state["streams"])
+
+
+def exploration_ratio(logits: Tensor, uniform: NDArray[np.float32]) -> NDArray[np.float64]:
+    """How often sampling from the policy departs from its greedy action (§3.4).
+
+    Args:
+        logits: (S, M, |A|) at the expert's states.
+        uniform: (S, M) random numbers in [0, 1).
+
+    Returns:
+        (S,) share of samples whose action is not the argmax.
+    """
+    sampled = sample_softmax(logits, torch.from_numpy(uniform).to(logits.device))
+    ratio: NDArray[np.float64] = (
+        (sampled != logits.argmax(dim=-1)).double().mean(dim=1).cpu().numpy()
+    )
+    return ratio

@@ -1,0 +1,105 @@
+"""The goal sampler: how much of I^s comes from the policy's own successes (§3.4, eq. 2)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ril.vectorized.replay import Batch, Replay
+
+
+def positive_limit(epoch: float, n: float, k: float) -> float:
+    """Equation 2: the largest share of I^s that may come from I^pos.
+
+    1 − 1 / (1 + (n/e − 1)^(−k)), which is 0/0 or complex outside 0 < e < n. There it is
+    continued as its limits: 0 at e = 0, and 1 from e = n on.
+
+    Args:
+        epoch: e ≥ 0.
+        n: epochs until the limit is 1; n > 0.
+        k: slope of the curve; k > 0.
+
+    Returns:
+        A share in [0, 1] that never falls as e grows.
+    """
+    if epoch <= 0:
+        return 0.0
+    if epoch >= n:
+        return 1.0
+    # The same fraction with numerator and denominator multiplied by (n/e − 1)^k.
+    return 1.0 / (1.0 + (n / epoch - 1.0) ** k)
+
+
+class Selection(NamedTuple):
+    """I^s: the transitions that the inverse dynamics model is trained on, padded per seed."""
+
+    transitions: Batch  # (S, N, …)
+    sizes: NDArray[np.int64]  # (S,) how many of the N are in I^s
+
+
+def choose_per_action(
+    memory: Replay, share: NDArray[np.float64], action_count: int, uniform: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Choose a share of each action's transitions, without replacement.
+
+    Args:
+        memory: of which transitions are chosen.
+        share: (S,) part of each action's transitions, in [0, 1]; rounded up.
+        action_count: |A|.
+        uniform: (S, capacity) random numbers in [0, 1) that decide which.
+
+    Returns:
+        (S, capacity) true where a slot is chosen.
+    """
+    slots = np.arange(memory.capacity)
+    empty = slots >= memory.sizes[:, None]
+    actions = np.where(empty, action_count, memory.actions.cpu().numpy())
+    counts = (actions[:, :, None] == np.arange(action_count + 1)).sum(axis=1)
+    quota = np.ceil(share[:, None] * counts).astype(np.int64)
+    quota[:, action_count] = 0
+    # Sorted by action and, within an action, at random: a slot's rank among its action's
+    # slots then says whether it is within the quota.
+    order = np.argsort(actions + uniform.astype(np.float64), axis=1)
+    ordered = np.take_along_axis(actions, order, axis=1)
+    first = np.cumsum(counts, axis=1) - counts
+    rank = slots - np.take_along_axis(first, ordered, axis=1)
+    chosen = np.zeros(actions.shape, dtype=bool)
+    np.put_along_axis(chosen, order, rank < np.take_along_axis(quota, ordered, axis=1), axis=1)
+    return chosen
+
+
+def select(
+    pre: Replay,
+    pos: Replay,
+    share: NDArray[np.float64],
+    action_count: int,
+    uniform: NDArray[np.float32],
+) -> Selection:
+    """Algorithm 1, line 14: I^s from I^pre and I^pos.
+
+    Per action, `share` of the transitions of I^pos and 1 − `share` of those of I^pre.
+
+    Args:
+        pre: I^pre, the random policy's transitions.
+        pos: I^pos, transitions of episodes that reached the goal.
+        share: (S,) of I^pos, in [0, 1]; taken as 0 for seeds whose I^pos is empty.
+        action_count: |A|.
+        uniform: (S, capacity of pre + capacity of pos) random numbers in [0, 1).
+    """
+    share = np.where(pos.sizes > 0, share, 0.0)
+    chosen = np.concatenate(
+        (
+            choose_per_action(pre, 1 - share, action_count, uniform[:, : pre.capacity]),
+            choose_per_action(pos, share, action_count, uniform[:, pre.capacity :]),
+        ),
+        axis=1,
+    )
+    sizes = chosen.sum(axis=1)
+    packed = np.argsort(~chosen, axis=1, kind="stable")[:, : sizes.max()]
+    indices = torch.from_numpy(packed).to(pre.actions.device)
+    both = zip(pre.everything(), pos.everything(), strict=True)
+    return Selection(Batch(*(torch.cat(fields, dim=1) for fields in both)).at(indices), sizes)

@@ -1,0 +1,88 @@
+"""The inverse dynamics model M_θ: which action leads from one state to the next (§3.2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ril.config import InverseDynamicsConfig
+from ril.learners.goal_sampler import Selection
+from ril.vectorized.networks import Network
+from ril.vectorized.replay import random_indices
+from ril.vectorized.streams import Streams
+from ril.vectorized.updates import ClippedAdam
+
+
+def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
+    """Mean cross-entropy of each seed: logits (S, B, |A|) and labels (S, B) to (S,)."""
+    losses = functional.cross_entropy(logits.flatten(0, 1), labels.flatten(), reduction="none")
+    return losses.view(labels.shape).mean(dim=1)
+
+
+class InverseDynamics:
+    """S models M_θ(a | s_t, s_{t+1}), trained on I^s.
+
+    Args:
+        network: from 2·obs features to |A| logits.
+        config: `method.inverse_dynamics`.
+        streams: from which minibatches are drawn.
+    """
+
+    def __init__(self, network: Network, config: InverseDynamicsConfig, streams: Streams) -> None:
+        self.network = network
+        self.config = config
+        self._streams = streams
+        self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
+
+    def train(self, selection: Selection) -> Tensor:
+        """Algorithm 1, line 7: minibatch steps of cross-entropy on I^s.
+
+        Returns:
+            (S,) mean loss over these steps.
+        """
+        updates, batch_size = self.config.updates, self.config.batch_size
+        device = self.network.flat.device
+        uniform = self._streams.uniform(updates, batch_size)
+        indices = random_indices(uniform, selection.sizes).to(device)
+        total = torch.zeros(len(indices), device=device)
+        for update in range(updates):
+            batch = selection.transitions.at(indices[:, update])
+            logits = self(batch.observations, batch.next_observations)
+            losses = cross_entropy(logits, batch.actions)
+            self._optimizer.step(losses)
+            total += losses.detach()
+        return total / updates
+
+    def __call__(self, observations: Tensor, next_observations: Tensor) -> Tensor:
+        """(S, B, obs) states and next states to (S, B, |A|) logits."""
+        return self.network(torch.cat((observations, next_observations), dim=-1))
+
+    @torch.no_grad()
+    def label(self, observations: Tensor, next_observations: Tensor) -> Tensor:
+        """Algorithm 1, line 8: argmax pseudo-labels Â.
+
+        Args:
+            observations: (S, B, obs) states s_t.
+            next_observations: (S, B, obs) states s_{t+1}.
+
+        Returns:
+            (S, B) actions.
+        """
+        return self(observations, next_observations).argmax(dim=-1)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Parameters, optimiser and random streams."""
+        return {
+            "parameters": self.network.flat,
+            "optimizer": self._optimizer.state_dict(),
+            "streams": self._streams.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.network.flat.copy_(state["parameters"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._streams.load_state_dict(state["streams"])

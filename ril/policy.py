@@ -1,0 +1,96 @@
+"""Saved policies, to be loaded and used again: `load_policy("outputs/…/policy.pt", seed=0)`."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ril.environments import Environment, Floats
+from ril.errors import UserError
+from ril.record import Record
+from ril.results import write_atomically
+from ril.vectorized.networks import Architecture, Network
+
+
+class Policy:
+    """One seed's policy over raw observations.
+
+    Attributes:
+        env_id: the Gymnasium environment that it was trained in.
+    """
+
+    def __init__(self, env_id: str, network: Network, low: Tensor, high: Tensor) -> None:
+        self.env_id = env_id
+        self._network = network
+        self._center, self._half = (high + low) / 2, (high - low) / 2
+
+    @torch.no_grad()
+    def values(self, observations: Floats) -> Floats:
+        """Raw observations (N, obs) to the (N, |A|) outputs: logits and Q-values at once."""
+        raw = torch.as_tensor(observations, dtype=torch.float32)
+        values: Floats = self._network(((raw - self._center) / self._half)[None])[0].numpy()
+        return values
+
+    def probabilities(self, observations: Floats) -> Floats:
+        """Raw observations (N, obs) to softmax probabilities (N, |A|)."""
+        values = torch.from_numpy(self.values(observations))
+        probabilities: Floats = values.softmax(dim=-1).numpy()
+        return probabilities
+
+    def predict(self, observations: Floats) -> NDArray[np.int64]:
+        """Greedy actions: raw observations (N, obs) to (N,); one observation (obs,) to ()."""
+        batch = np.atleast_2d(observations)
+        actions: NDArray[np.int64] = self.values(batch).argmax(axis=-1)
+        return actions.reshape(np.shape(observations)[:-1])
+
+
+def save_policies(
+    path: Path, environment: Environment, architecture: Architecture, record: Record
+) -> None:
+    """Write the best and last policies of all seeds, as tensors and plain values only."""
+    content = {
+        "env_id": environment.config.id,
+        "observation_low": torch.from_numpy(environment.low),
+        "observation_high": torch.from_numpy(environment.high),
+        "architecture": asdict(architecture),
+        "seeds": list(record.seeds),
+        "best": record.best.cpu(),
+        "last": record.last.cpu(),
+    }
+    buffer = io.BytesIO()
+    torch.save(content, buffer)
+    write_atomically(path, buffer.getvalue())
+
+
+def load_policy(path: str | Path, seed: int, which: str = "best") -> Policy:
+    """Load one seed's policy from a run's `policy.pt`; nothing in the file is executed.
+
+    Args:
+        path: of the file.
+        seed: which of the run's seeds.
+        which: "best" or "last".
+
+    Raises:
+        UserError: the file cannot be read, or holds no such policy.
+    """
+    try:
+        content: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+    except Exception as error:
+        raise UserError(f"{path}: not a policy that ril saved ({type(error).__name__})") from None
+    if seed not in content["seeds"]:
+        raise UserError(f"seed={seed}: {path} has {content['seeds']}")
+    if which not in ("best", "last"):
+        raise UserError(f"which={which}: must be best or last")
+    index = content["seeds"].index(seed)
+    architecture = Architecture(**content["architecture"])
+    network = Network(architecture, content[which][index : index + 1].clone())
+    return Policy(
+        content["env_id"], network, content["observation_low"], content["observation_high"]
+    )

@@ -1,0 +1,56 @@
+"""Where a run's numbers come from: code, versions, machine, command."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+_LIBRARIES = ("torch", "numpy", "gymnasium", "stable-baselines3", "hydra-core", "pandas")
+
+
+def commit() -> str:
+    """The checkout's commit, with "-dirty" if it has changes; "" where ril is installed."""
+    root = Path(__file__).parent.parent
+    if not (root / ".git").exists():
+        return ""
+    try:
+        head = _git(root, "rev-parse", "--short=12", "HEAD")
+        return head + ("-dirty" if _git(root, "status", "--porcelain", "--", "ril", "conf") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
+def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
+    """What `provenance.json` holds at the start of a run."""
+    return {
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "ril": version("ril"),
+        "commit": commit(),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in _LIBRARIES},
+        "platform": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "demonstrations": {"file": demonstrations.name, "sha256": sha256},
+    }
+
+
+def _git(root: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(root), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def _processor() -> str:
+    """The processor's name, as Linux knows it or as Python does."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
+    except (OSError, StopIteration):
+        return platform.processor()

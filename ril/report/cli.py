@@ -1,0 +1,36 @@
+"""`ril-report`: the rows on disk as the paper's tables."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+
+def main() -> None:
+    """The console command."""
+    parser = argparse.ArgumentParser(
+        prog="ril-report", description="Show the rows on disk beside the paper's numbers."
+    )
+    parser.add_argument("table", choices=["table2"], help="which of the paper's tables")
+    parser.add_argument(
+        "--outputs",
+        nargs="+",
+        type=Path,
+        default=[Path("outputs")],
+        metavar="DIR",
+        help="folders of runs (default: outputs)",
+    )
+    arguments = parser.parse_args()
+    missing = [str(folder) for folder in arguments.outputs if not folder.is_dir()]
+    if missing and arguments.outputs != parser.get_default("outputs"):
+        sys.exit(f"ril-report: --outputs {', '.join(missing)}: no such folder")
+
+    from ril.report.tables import table2
+    from ril.results import load_results
+
+    print(table2(load_results(arguments.outputs)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""The rows a run leaves: their schema, written whole or not at all, and read back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import pandas as pd
+
+
+@dataclass(frozen=True)
+class Row:
+    """One seed of one run: a line of `results.csv`.
+
+    Attributes:
+        run_id: of the cell.
+        env: name of the environment.
+        method: name of the method.
+        seed: of the agent.
+        k: eq. 2's slope.
+        n: eq. 2's epochs.
+        trajectories: expert trajectories learnt from.
+        expert_return: the level asked of a sub-optimal expert; empty for the usual one.
+        epochs: trained, fewer than asked where the stopping rule ended the seed.
+        best_epoch: after which the best policy was found.
+        aer: mean return of fresh episodes of the best policy.
+        aer_std: standard deviation of these episodes' returns.
+        aer_last: the same mean for the last policy.
+        performance: (aer − random) / (expert − random) (§4).
+        env_samples: environment steps learnt from by Q-learning (§5.2.2).
+        expert_samples: expert transitions learnt from, counted once per epoch (§5.2.2).
+        pre_samples: random steps of I^pre, which the paper does not count.
+        samples_to_best: env_samples + expert_samples at the best policy's epoch.
+        random_return: mean return of random actions, measured.
+        expert_return_measured: mean return of all the expert's demonstrations.
+        wall_seconds: of the whole run, all its seeds together.
+        commit: of the code, "-dirty" with uncommitted changes; "" outside a checkout.
+    """
+
+    run_id: str
+    env: str
+    method: str
+    seed: int
+    k: float
+    n: float
+    trajectories: int
+    expert_return: float | None
+    epochs: int
+    best_epoch: int
+    aer: float
+    aer_std: float
+    aer_last: float
+    performance: float
+    env_samples: int
+    expert_samples: int
+    pre_samples: int
+    samples_to_best: int
+    random_return: float
+    expert_return_measured: float
+    wall_seconds: float
+    commit: str
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """One seed at one evaluation during training: a line of `curve.csv`.
+
+    Attributes:
+        seed: of the agent.
+        epoch: after which it was evaluated.
+        samples: env_samples + expert_samples so far (§5.2.2).
+        aer: mean return of the selection episodes.
+        training_return: mean return of this epoch's own, exploring episodes.
+        epsilon: ε of this epoch.
+        label_accuracy: share of pseudo-labels that equal the expert's true actions, which the
+            method itself never sees.
+        inverse_dynamics_accuracy: share of the own episodes' actions that M_θ infers.
+        inverse_dynamics_loss: mean cross-entropy of M_θ.
+        cloning_loss: mean cross-entropy of π_φ on the pseudo-labels.
+        td_loss: mean temporal-difference loss.
+        goals: share of this epoch's episodes that reached the goal.
+    """
+
+    seed: int
+    epoch: int
+    samples: int
+    aer: float
+    training_return: float | None = None
+    epsilon: float | None = None
+    label_accuracy: float | None = None
+    inverse_dynamics_accuracy: float | None = None
+    inverse_dynamics_loss: float | None = None
+    cloning_loss: float | None = None
+    td_loss: float | None = None
+    goals: float | None = None
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file so that a reader sees all of it or none, whatever happens meanwhile."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with aside.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        aside.replace(path)
+    finally:
+        aside.unlink(missing_ok=True)
+
+
+def write_csv(path: Path, lines: Sequence[Row] | Sequence[CurvePoint]) -> None:
+    """Write rows or points under their field names."""
+    frame = pd.DataFrame([asdict(line) for line in lines])
+    write_atomically(path, frame.to_csv(index=False).encode())
+
+
+def load_results(folders: Sequence[Path]) -> pd.DataFrame:
+    """All rows of all `results.csv` below some folders; the empty frame if there are none."""
+    files = sorted({file for folder in folders for file in folder.rglob("results.csv")})
+    columns = list(Row.__dataclass_fields__)
+    frames = [pd.read_csv(file) for file in files]
+    if not frames:
+        return pd.DataFrame(columns=columns)
+    rows = pd.concat([frame.reindex(columns=columns) for frame in frames], ignore_index=True)
+    return rows.drop_duplicates(["run_id", "seed"], ignore_index=True)

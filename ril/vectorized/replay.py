@@ -1,0 +1,105 @@
+"""Transitions of S seeds in fixed arrays; a ring per seed."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ril.vectorized.rollout import Episodes
+
+
+def random_indices(uniform: NDArray[np.float32], sizes: NDArray[np.int64]) -> Tensor:
+    """Uniform numbers (S, ...) in [0, 1) to indices below each seed's size (S,), same shape."""
+    ceiling = sizes.reshape(-1, *[1] * (uniform.ndim - 1))
+    return torch.from_numpy(np.minimum((uniform * ceiling).astype(np.int64), ceiling - 1))
+
+
+class Batch(NamedTuple):
+    """Transitions of all seeds: B per seed."""
+
+    observations: Tensor  # (S, B, obs)
+    actions: Tensor  # (S, B)
+    rewards: Tensor  # (S, B)
+    next_observations: Tensor  # (S, B, obs)
+    terminated: Tensor  # (S, B), 1.0 where the environment ended the episode
+
+    def at(self, indices: Tensor) -> Batch:
+        """Those at indices (S, C) of each seed's B."""
+        rows = torch.arange(len(indices), device=indices.device)[:, None]
+        return Batch(*(field[rows, indices] for field in self))
+
+
+class Replay:
+    """The newest `capacity` transitions of each seed.
+
+    Args:
+        seeds: S.
+        capacity: transitions kept per seed.
+        observation_size: entries of one observation.
+        device: where the arrays live.
+    """
+
+    _FIELDS = ("observations", "actions", "rewards", "next_observations", "terminated")
+
+    def __init__(
+        self, seeds: int, capacity: int, observation_size: int, device: torch.device
+    ) -> None:
+        self.capacity = capacity
+        self.sizes = np.zeros(seeds, dtype=np.int64)
+        self._positions = np.zeros(seeds, dtype=np.int64)
+        shape = (seeds, capacity)
+        self.observations = torch.zeros(*shape, observation_size, device=device)
+        self.actions = torch.zeros(shape, dtype=torch.int64, device=device)
+        self.rewards = torch.zeros(shape, device=device)
+        self.next_observations = torch.zeros(*shape, observation_size, device=device)
+        self.terminated = torch.zeros(shape, device=device)
+
+    def append(self, episodes: Episodes, keep: NDArray[np.bool_] | None = None) -> None:
+        """Append whole episodes, the oldest transitions giving way.
+
+        Args:
+            episodes: S·N of them, those of one seed side by side.
+            keep: (S·N,) which of them are taken; all if None.
+        """
+        per_seed = len(episodes.lengths) // len(self.sizes)
+        for episode, length in enumerate(episodes.lengths):
+            if keep is not None and not keep[episode]:
+                continue
+            seed = episode // per_seed
+            steps = np.arange(max(0, length - self.capacity), length)
+            slots = torch.from_numpy((self._positions[seed] + steps) % self.capacity)
+            for name in self._FIELDS:
+                array: Tensor = getattr(self, name)
+                values = torch.from_numpy(getattr(episodes, name)[episode, steps])
+                array[seed, slots] = values.to(array)
+            self._positions[seed] = (self._positions[seed] + length) % self.capacity
+            self.sizes[seed] = min(self.sizes[seed] + length, self.capacity)
+
+    def clear(self) -> None:
+        """Forget all transitions."""
+        self.sizes[:] = 0
+        self._positions[:] = 0
+
+    def everything(self) -> Batch:
+        """All slots (S, capacity, …), those not yet filled included."""
+        return Batch(*(getattr(self, name) for name in self._FIELDS))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything stored."""
+        arrays = {name: getattr(self, name) for name in self._FIELDS}
+        return {
+            "sizes": torch.from_numpy(self.sizes),
+            "positions": torch.from_numpy(self._positions),
+            **arrays,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.sizes[:] = state["sizes"].numpy()
+        self._positions[:] = state["positions"].numpy()
+        for name in self._FIELDS:
+            getattr(self, name).copy_(state[name])

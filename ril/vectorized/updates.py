@@ -1,0 +1,63 @@
+"""One optimiser step for all seeds at once."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ril.vectorized.networks import Network
+
+
+class ClippedAdam:
+    """Adam with its default values (§4.1) after clipping each gradient entry (§3.4).
+
+    Args:
+        network: whose parameters it changes, in place.
+        learning_rate: α of §4.1.
+        gradient_clip: every entry of the gradient is cut to [−clip, clip]; None cuts nothing.
+    """
+
+    BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+
+    def __init__(
+        self, network: Network, learning_rate: float, gradient_clip: float | None
+    ) -> None:
+        self.network = network
+        self.learning_rate = learning_rate
+        self.gradient_clip = gradient_clip
+        self.steps = 0
+        self.mean = torch.zeros_like(network.flat)
+        self.square = torch.zeros_like(network.flat)
+
+    def step(self, losses: Tensor) -> None:
+        """Descend each seed's own loss.
+
+        Args:
+            losses: (S,), one per seed. Their sum has each seed's own gradient, since no
+                parameter is shared.
+        """
+        leaves = list(self.network.parameters.values())
+        gradients = torch.autograd.grad(losses.sum(), leaves)
+        gradient = torch.cat([g.reshape(len(g), -1) for g in gradients], dim=1)
+        if self.gradient_clip is not None:
+            gradient.clamp_(-self.gradient_clip, self.gradient_clip)
+        self.steps += 1
+        self.mean.lerp_(gradient, 1 - self.BETA1)
+        self.square.mul_(self.BETA2).addcmul_(gradient, gradient, value=1 - self.BETA2)
+        mean_scale = 1 - self.BETA1**self.steps
+        square_scale = math.sqrt(1 - self.BETA2**self.steps)
+        denominator = self.square.sqrt().div_(square_scale).add_(self.EPSILON)
+        self.network.flat.addcdiv_(self.mean, denominator, value=-self.learning_rate / mean_scale)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Moments and step count."""
+        return {"steps": self.steps, "mean": self.mean, "square": self.square}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.steps = state["steps"]
+        self.mean.copy_(state["mean"])
+        self.square.copy_(state["square"])
