@@ -1,0 +1,1 @@
+"""Reproduce "Sample-Efficient Self-Supervised Imitation Learning" from the command line."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import sys
+from typing import NoReturn
 
 import hydra
 from hydra.core.config_store import ConfigStore
@@ -12,33 +13,53 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from ril.config import Config, RILConfig
 from ril.errors import UserError
 from ril.paths import config_folder
 
+_TRACEBACK_WANTED = "HYDRA_FULL_ERROR" in os.environ
+_MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError)
+
 
 def main() -> None:
     """The console command; a mistake of the user's is one line on stderr and exit status 1."""
-    store = ConfigStore.instance()
-    store.store(name="schema", node=Config)
-    store.store(group="schema/method", name="ril", node=RILConfig)
-    traceback_wanted = "HYDRA_FULL_ERROR" in os.environ
+    store_schemas()
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra's own errors then reach the handlers below
     folder = str(config_folder())
     try:
-        hydra.main(version_base="1.3", config_path=folder, config_name="config")(_run)()
-    except (UserError, HydraException, OmegaConfBaseException, OSError) as error:
-        if traceback_wanted:
-            raise
-        sys.exit(f"ril-run: {in_one_line(error)}")
+        hydra.main(version_base="1.3", config_path=folder, config_name="config")(_job)()
+    except _MISTAKES as error:
+        _refuse(error)
     except KeyboardInterrupt:
         sys.exit("ril-run: stopped; the same command goes on from the last checkpoint")
 
 
+def store_schemas() -> None:
+    """Tell Hydra which keys and types the files of `conf/` may have."""
+    store = ConfigStore.instance()
+    store.store(name="schema", node=Config)
+    store.store(group="schema/method", name="ril", node=RILConfig)
+
+
+def _refuse(error: Exception) -> NoReturn:
+    if _TRACEBACK_WANTED:
+        raise error
+    sys.exit(f"ril-run: {in_one_line(error)}")
+
+
+def _job(composed: DictConfig) -> None:
+    """A run, or one cell of a sweep, whose other cells a mistake does not end."""
+    try:
+        _run(composed)
+    except _MISTAKES as error:
+        if HydraConfig.get().mode == RunMode.MULTIRUN:
+            raise
+        _refuse(error)  # here already: Hydra says a line of its own of what leaves a job
+
+
 def _run(composed: DictConfig) -> None:
-    """One job: a run, or one cell of a sweep."""
     from rich.console import Console
 
     from ril.config import from_hydra
@@ -65,14 +86,16 @@ def in_one_line(error: Exception) -> str:
         group, _, choice = error.missing_cfg_file.rpartition("/")
         allowed = ", ".join(error.options or ())
         return f"{group}={choice}: unknown, choose one of {allowed}"
-    cause = error.__cause__
-    if isinstance(cause, ConfigKeyError) and cause.full_key:
-        parent, _, key = cause.full_key.rpartition(".")
-        known = [] if cause.object_type is None else list(_fields(cause.object_type))
+    fault = error.__cause__ or error
+    if isinstance(fault, ConfigKeyError | ConfigAttributeError) and fault.full_key:
+        parent, _, key = fault.full_key.rpartition(".")
+        known = [] if fault.object_type is None else list(_fields(fault.object_type))
         near = difflib.get_close_matches(key, known, n=1) or known
         where = f" of {parent}" if parent else ""
-        return f"{cause.full_key}: no such key{where}; is it {', '.join(near)}?"
-    return " ".join(str(cause or error).split())
+        return f"{fault.full_key}: no such key{where}; is it {', '.join(near)}?"
+    if isinstance(fault, OmegaConfBaseException) and fault.full_key:
+        return f"{fault.full_key}: {str(fault).splitlines()[0]}"
+    return " ".join(str(fault).split())
 
 
 def _fields(kind: type) -> list[str]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -49,6 +51,8 @@ class NetworkConfig:
 class InverseDynamicsConfig:
     """M_θ and its training (Alg. 1, line 7)."""
 
+    inputs: str = MISSING
+    standardise: bool = MISSING
     learning_rate: float = MISSING
     updates: int = MISSING
     batch_size: int = MISSING
@@ -60,7 +64,7 @@ class CloningConfig:
     """π_φ's imitation half (Alg. 1, line 9)."""
 
     learning_rate: float = MISSING
-    passes: int = MISSING
+    updates: int = MISSING
     batch_size: int = MISSING
     gradient_clip: float | None = MISSING
 
@@ -97,7 +101,7 @@ class GoalSamplerConfig:
 
 @dataclass
 class StoppingConfig:
-    """"while π_φ improves" (Alg. 1, line 6; §3.4, step vii)."""
+    """How long π_φ counts as improving (Alg. 1, line 6; §3.4, step vii)."""
 
     patience: int | None = MISSING
     loss_tolerance: float = MISSING
@@ -163,19 +167,19 @@ class Config:
 
 #: Keys that cannot change a number.
 _NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations")
-_POSITIVE = (
-    "method.epochs method.episodes method.inverse_dynamics.learning_rate "
-    "method.inverse_dynamics.updates method.inverse_dynamics.batch_size "
-    "method.inverse_dynamics.gradient_clip method.cloning.learning_rate method.cloning.passes "
-    "method.cloning.batch_size method.cloning.gradient_clip method.q_learning.learning_rate "
-    "method.q_learning.updates method.q_learning.batch_size method.q_learning.gradient_clip "
-    "method.q_learning.replay_trajectories method.goal_sampler.pre_steps_per_action "
-    "method.stopping.patience ablation.k evaluation.episodes evaluation.every "
-    "evaluation.selection_episodes"
-).split()
-_SHARES = ("method.exploration.epsilon", "method.q_learning.discount")
+#: Numbers must be above 0, but for these, which lie within bounds (both included).
+_BOUNDS = {
+    "epsilon": (0, 1),
+    "discount": (0, 1),
+    "target_interval": (0, math.inf),
+    "loss_tolerance": (0, math.inf),
+    "negative_slope": (0, math.inf),
+    "n": (1, math.inf),
+    "expert_return": (-math.inf, math.inf),
+}
 _CHOICES = {
     "method.exploration.kind": ("softmax", "uniform"),
+    "method.inverse_dynamics.inputs": ("states", "change"),
     "method.q_learning.loss": ("huber", "mse"),
     "method.goal_sampler.memory": ("run", "epoch"),
 }
@@ -190,21 +194,37 @@ def from_hydra(composed: DictConfig) -> Config:
     config = cast(Config, OmegaConf.to_object(composed))
     config.seeds = _seeds(config.seeds)
 
-    def value(key: str) -> Any:
-        return OmegaConf.select(composed, key)
-
-    for key in _POSITIVE:
-        if value(key) is not None and value(key) <= 0:
-            raise UserError(f"{key}={value(key)}: must be above 0")
-    for key in _SHARES:
-        if value(key) is not None and not 0 <= value(key) <= 1:
-            raise UserError(f"{key}={value(key)}: must be within 0..1")
-    for key, allowed in _CHOICES.items():
-        if value(key) is not None and value(key) not in allowed:
-            raise UserError(f"{key}={value(key)}: must be one of {', '.join(allowed)}")
-    if config.ablation.n < 1:
-        raise UserError(f"ablation.n={config.ablation.n}: must be 1 or more")
+    for group in ("method", "ablation", "evaluation"):
+        for key, value in _leaves(OmegaConf.to_container(composed[group]), group):
+            _check(key, value)
     return config
+
+
+def _leaves(node: Any, key: str) -> Iterator[tuple[str, Any]]:
+    """All values below a node of the configuration, with their full keys."""
+    if isinstance(node, dict):
+        for name, child in node.items():
+            yield from _leaves(child, f"{key}.{name}")
+    elif isinstance(node, list):
+        for child in node:
+            yield from _leaves(child, key)
+    else:
+        yield key, node
+
+
+def _check(key: str, value: Any) -> None:
+    """Refuse a value outside its bounds or choices."""
+    name = key.rpartition(".")[2]
+    if key in _CHOICES and value not in _CHOICES[key]:
+        raise UserError(f"{key}={value}: must be one of {', '.join(_CHOICES[key])}")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return
+    low, high = _BOUNDS.get(name, (None, math.inf))
+    if low is None and not 0 < value < math.inf:
+        raise UserError(f"{key}={value}: must be a finite number above 0")
+    if low is not None and not low <= value <= high:
+        allowed = f"{low} or more" if high == math.inf else f"within {low}..{high}"
+        raise UserError(f"{key}={value}: must be {allowed}")
 
 
 def _seeds(given: Any) -> list[int]:

@@ -94,7 +94,9 @@ class ConsoleDisplay:
     def finished(self, rows: Path, *, skipped: bool) -> None:
         """Show the rows, their mean beside the paper's number, and the folder."""
         frame = pd.read_csv(rows)
-        table = Table("seed", "AER", "± episodes", "last", "performance", "samples to best", "epochs")
+        table = Table(
+            "seed", "AER", "± episodes", "last", "performance", "samples to best", "epochs"
+        )
         for column in table.columns:
             column.justify = "right"
         for row in frame.itertuples():

@@ -39,7 +39,7 @@ class Environment:
         return gym.make(self.config.id, disable_env_checker=True, **self.config.kwargs)
 
     def scale(self, observations: NDArray[np.floating]) -> Floats:
-        """Raw observations (..., observation_size) to about [−1, 1] (docs/deviations.md, 5)."""
+        """Raw observations (..., observation_size) to about [−1, 1] (docs/deviations.md, D5)."""
         center, half = (self.high + self.low) / 2, (self.high - self.low) / 2
         return ((observations - center) / half).astype(np.float32)
 

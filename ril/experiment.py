@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import io
 import json
+import math
 import time
 from pathlib import Path
 from typing import Any, Protocol
@@ -58,6 +59,8 @@ def run(config: Config, display: Display) -> Path:
         UserError: something that was asked for cannot be used; nothing has been written.
     """
     torch.set_num_threads(1)
+    if config.method.name not in METHODS:
+        raise UserError(f"method.name={config.method.name}: must be one of {', '.join(METHODS)}")
     environment = load_environment(config.env)
     device = _device(config.device)
     path = _demonstrations_path(config)
@@ -123,16 +126,15 @@ def _train(
         live = ~record.stopped
         just_stopped = record.advance(progress, method.policy.flat)
         last = progress.epoch == config.method.epochs
-        if last or progress.epoch % config.evaluation.every == 0 or just_stopped.any():
+        looked_at = live if last or progress.epoch % config.evaluation.every == 0 else just_stopped
+        if looked_at.any():
             metrics = dict(progress.metrics)
             if progress.pseudo_labels is not None:
                 right = progress.pseudo_labels == expert_actions
                 metrics["label_accuracy"] = right.mean(axis=1)
             purpose = f"after epoch {progress.epoch}"
-            returns = evaluation.returns(
-                method.act, config.evaluation.selection_episodes, purpose
-            )
-            record.evaluated(returns.mean(axis=1), live, metrics)
+            returns = evaluation.returns(method.act, config.evaluation.selection_episodes, purpose)
+            record.evaluated(returns.mean(axis=1), looked_at, metrics)
         display.advanced(progress, record)
         if time.monotonic() - saved > CHECKPOINT_SECONDS:
             saved = time.monotonic()
@@ -203,7 +205,7 @@ def _rows(
                 aer=aer,
                 aer_std=float(best.std()),
                 aer_last=float(last.mean()),
-                performance=(aer - random) / (expert - random),
+                performance=(aer - random) / (expert - random) if expert != random else math.nan,
                 env_samples=int(record.env_samples[index]),
                 expert_samples=int(record.expert_samples[index]),
                 pre_samples=pre_steps * environment.action_count,
@@ -220,7 +222,7 @@ def _rows(
 def _device(name: str) -> torch.device:
     try:
         device = torch.device(name)
-        torch.zeros(1, device=device)
+        torch.zeros(1, device=device).item()
     except (RuntimeError, AssertionError):
         raise UserError(f"device={name}: torch cannot use it here") from None
     return device

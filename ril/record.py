@@ -59,18 +59,18 @@ class Record:
     def evaluated(
         self,
         aer: NDArray[np.float64],
-        live: NDArray[np.bool_],
+        looked_at: NDArray[np.bool_],
         metrics: dict[str, NDArray[np.float64]],
     ) -> None:
         """Take in an evaluation of the last policies.
 
         Args:
             aer: (S,) mean returns.
-            live: (S,) seeds that were still training in this epoch.
+            looked_at: (S,) seeds that it counts for; they were still training in this epoch.
             metrics: diagnostics of the epoch, each (S,), under the names of `CurvePoint`.
         """
         samples = self.env_samples + self.expert_samples
-        for index in np.flatnonzero(live):
+        for index in np.flatnonzero(looked_at).tolist():
             of_seed = {name: float(values[index]) for name, values in metrics.items()}
             self.curve.append(
                 CurvePoint(
@@ -81,7 +81,7 @@ class Record:
                     **of_seed,
                 )
             )
-        better = live & (aer > self.best_aer)
+        better = looked_at & (aer > self.best_aer)
         self.best_aer[better] = aer[better]
         self.best_epoch[better] = self.epochs[better]
         self.samples_to_best[better] = samples[better]

@@ -120,7 +120,8 @@ def load_results(folders: Sequence[Path]) -> pd.DataFrame:
     """All rows of all `results.csv` below some folders; the empty frame if there are none."""
     files = sorted({file for folder in folders for file in folder.rglob("results.csv")})
     columns = list(Row.__dataclass_fields__)
-    frames = [pd.read_csv(file) for file in files]
+    # Hashes that happen to look like numbers (12345e6789) stay text.
+    frames = [pd.read_csv(file, dtype={"run_id": str, "commit": str}) for file in files]
     if not frames:
         return pd.DataFrame(columns=columns)
     rows = pd.concat([frame.reindex(columns=columns) for frame in frames], ignore_index=True)

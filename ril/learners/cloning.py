@@ -13,6 +13,7 @@ from ril.config import CloningConfig
 from ril.learners.inverse_dynamics import cross_entropy
 from ril.learners.q_learning import sample_softmax
 from ril.vectorized.networks import Network
+from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
@@ -23,7 +24,7 @@ class Cloning:
     Args:
         policy: from obs features to |A| logits.
         config: `method.cloning`.
-        streams: from which the order of samples is drawn.
+        streams: from which minibatches are drawn.
     """
 
     def __init__(self, policy: Network, config: CloningConfig, streams: Streams) -> None:
@@ -33,25 +34,25 @@ class Cloning:
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
 
     def train(self, observations: Tensor, labels: Tensor) -> Tensor:
-        """Algorithm 1, line 9: passes over all samples in minibatches, each in a new order.
+        """Algorithm 1, line 9: minibatch steps of cross-entropy on the expert's states.
 
         Args:
             observations: (M, obs) states of the expert, the same for all seeds.
             labels: (S, M) actions.
 
         Returns:
-            (S,) mean loss over the last pass.
+            (S,) mean loss over these steps.
         """
-        samples, device = len(observations), observations.device
-        orders = torch.from_numpy(self._streams.permutations(self.config.passes, samples))
-        total = torch.zeros(len(labels), device=device)
-        for order in orders.to(device).unbind(dim=1):
-            total.zero_()
-            for chosen in order.split(self.config.batch_size, dim=1):
-                losses = cross_entropy(self.policy(observations[chosen]), labels.gather(1, chosen))
-                self._optimizer.step(losses)
-                total += losses.detach() * chosen.shape[1]
-        return total / samples
+        updates, batch_size = self.config.updates, self.config.batch_size
+        sizes = np.full(len(labels), len(observations))
+        uniform = self._streams.uniform(updates, batch_size)
+        indices = random_indices(uniform, sizes).to(labels.device)
+        total = torch.zeros(len(labels), device=labels.device)
+        for chosen in indices.unbind(dim=1):
+            losses = cross_entropy(self.policy(observations[chosen]), labels.gather(1, chosen))
+            self._optimizer.step(losses)
+            total += losses.detach()
+        return total / updates
 
     def state_dict(self) -> dict[str, Any]:
         """Optimiser and random streams; the policy belongs to the method."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from ril.vectorized.replay import Batch, Replay
 
@@ -30,8 +30,11 @@ def positive_limit(epoch: float, n: float, k: float) -> float:
         return 0.0
     if epoch >= n:
         return 1.0
-    # The same fraction with numerator and denominator multiplied by (n/e − 1)^k.
-    return 1.0 / (1.0 + (n / epoch - 1.0) ** k)
+    # (n/e − 1)^(−k), or its inverse where it is above 1, so that no power overflows.
+    odds = epoch / (n - epoch)
+    if odds <= 1:
+        return math.pow(odds, k) / (1 + math.pow(odds, k))
+    return 1 / (1 + math.pow(odds, -k))
 
 
 class Selection(NamedTuple):

@@ -11,7 +11,7 @@ from torch.nn import functional
 from ril.config import InverseDynamicsConfig
 from ril.learners.goal_sampler import Selection
 from ril.vectorized.networks import Network
-from ril.vectorized.replay import random_indices
+from ril.vectorized.replay import Batch, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
@@ -36,6 +36,20 @@ class InverseDynamics:
         self.config = config
         self._streams = streams
         self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
+        features = network.architecture.inputs
+        self._mean = torch.zeros(len(network.flat), 1, features, device=network.flat.device)
+        self._deviation = torch.ones_like(self._mean)
+
+    def standardise(self, transitions: Batch) -> None:
+        """Scale the inputs by mean and standard deviation of some transitions, per seed.
+
+        Args:
+            transitions: (S, B, …), those of I^pre.
+        """
+        features = self._features(transitions.observations, transitions.next_observations)
+        self._mean = features.mean(dim=1, keepdim=True)
+        deviation = features.std(dim=1, keepdim=True)
+        self._deviation = torch.where(deviation > 0, deviation, torch.ones_like(deviation))
 
     def train(self, selection: Selection) -> Tensor:
         """Algorithm 1, line 7: minibatch steps of cross-entropy on I^s.
@@ -58,7 +72,14 @@ class InverseDynamics:
 
     def __call__(self, observations: Tensor, next_observations: Tensor) -> Tensor:
         """(S, B, obs) states and next states to (S, B, |A|) logits."""
-        return self.network(torch.cat((observations, next_observations), dim=-1))
+        features = self._features(observations, next_observations)
+        return self.network((features - self._mean) / self._deviation)
+
+    def _features(self, observations: Tensor, next_observations: Tensor) -> Tensor:
+        """(S, B, 2·obs) what the model sees of a transition."""
+        if self.config.inputs == "change":
+            next_observations = next_observations - observations
+        return torch.cat((observations, next_observations), dim=-1)
 
     @torch.no_grad()
     def label(self, observations: Tensor, next_observations: Tensor) -> Tensor:
@@ -77,6 +98,8 @@ class InverseDynamics:
         """Parameters, optimiser and random streams."""
         return {
             "parameters": self.network.flat,
+            "mean": self._mean,
+            "deviation": self._deviation,
             "optimizer": self._optimizer.state_dict(),
             "streams": self._streams.state_dict(),
         }
@@ -84,5 +107,7 @@ class InverseDynamics:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from where `state_dict` was taken."""
         self.network.flat.copy_(state["parameters"])
+        self._mean.copy_(state["mean"])
+        self._deviation.copy_(state["deviation"])
         self._optimizer.load_state_dict(state["optimizer"])
         self._streams.load_state_dict(state["streams"])

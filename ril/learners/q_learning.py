@@ -118,9 +118,7 @@ class QLearning:
                 self._target.flat.copy_(self.policy.flat)
             batch = memory.at(indices[:, update])
             with torch.no_grad():
-                targets = td_targets(
-                    batch, self._target(batch.next_observations), config.discount
-                )
+                targets = td_targets(batch, self._target(batch.next_observations), config.discount)
             losses = td_loss(self.policy(batch.observations), batch, targets, config.loss)
             self._optimizer.step(losses)
             total += losses.detach()

@@ -20,7 +20,7 @@ from ril.methods.base import Progress, Task
 from ril.methods.stopping import StoppingRule
 from ril.vectorized.networks import Architecture, Network
 from ril.vectorized.replay import Replay
-from ril.vectorized.rollout import Environments, Episodes
+from ril.vectorized.rollout import Environments, Episodes, Integers
 from ril.vectorized.streams import Streams
 
 _PRE_COPIES = 10  # environments per seed that fill I^pre side by side
@@ -146,12 +146,14 @@ class RIL:
         while (unfilled := self.pre.sizes < self.pre.capacity).any():
             uniform = torch.from_numpy(streams.uniform(steps, _PRE_COPIES)).to(self.task.device)
 
-            def act(observations: Floats, step: int, uniform: Tensor = uniform) -> NDArray[np.int64]:
+            def act(observations: Floats, step: int, uniform: Tensor = uniform) -> Integers:
                 logits = self._logits(observations)
-                return sample_softmax(logits, uniform[:, step]).flatten().cpu().numpy()
+                return _flat(sample_softmax(logits, uniform[:, step]))
 
             episodes = environments.play(act, streams.integers(2**31, _PRE_COPIES).ravel())
             self.pre.append(episodes, keep=np.repeat(unfilled, _PRE_COPIES))
+        if self.config.inverse_dynamics.standardise:
+            self.inverse_dynamics.standardise(self.pre.everything())
 
     def _play(self, epsilon: NDArray[np.float64]) -> Episodes:
         """Line 11: one ε-greedy episode per seed."""
@@ -161,11 +163,11 @@ class RIL:
         chance = torch.from_numpy(epsilon).to(self.task.device)
         kind = self.config.exploration.kind
 
-        def act(observations: Floats, step: int) -> NDArray[np.int64]:
+        def act(observations: Floats, step: int) -> Integers:
             chosen = explore(
                 self._logits(observations), chance, uniform[:, step].transpose(0, 1), kind
             )
-            return chosen.flatten().cpu().numpy()
+            return _flat(chosen)
 
         return self.environments.play(act, self._streams["resets"].integers(2**31))
 
@@ -178,7 +180,7 @@ class RIL:
         samples = len(self.expert_states)
         return exploration_ratio(logits, self._streams["exploration ratio"].uniform(samples))
 
-    def _expert_actions(self) -> NDArray[np.int64]:
+    def _expert_actions(self) -> Integers:
         """(S, M) what the policy would do in the expert's states."""
         with torch.no_grad():
             logits = self.policy(self._for_all_seeds(self.expert_states))
@@ -190,7 +192,7 @@ class RIL:
             self.task.environment.config.goal,
             returns=episodes.returns,
             final_rewards=episodes.final_rewards,
-            terminated=episodes.terminated.any(axis=1),
+            terminated=episodes.ends,
         )
 
     def _inverse_dynamics_accuracy(self, episodes: Episodes) -> NDArray[np.float64]:
@@ -218,9 +220,9 @@ class RIL:
         by_seed = torch.from_numpy(observations).to(self.task.device)
         return self.policy(by_seed.view(len(self.task.seeds), -1, observations.shape[-1]))
 
-    def act(self, observations: Floats) -> NDArray[np.int64]:
+    def act(self, observations: Floats) -> Integers:
         """Greedy actions: (S·N, obs) scaled observations, one seed's side by side, to (S·N,)."""
-        return self._logits(observations).argmax(dim=-1).flatten().cpu().numpy()
+        return _flat(self._logits(observations).argmax(dim=-1))
 
     def _stateful(self) -> dict[str, Any]:
         """The parts that keep state of their own, by name."""
@@ -252,6 +254,11 @@ class RIL:
         self.env_samples = np.array(state["env_samples"], dtype=np.int64)
         for name, part in self._stateful().items():
             part.load_state_dict(state["parts"][name])
+
+
+def _flat(actions: Tensor) -> Integers:
+    """(S, N) actions as (S·N,) off the device."""
+    return actions.flatten().cpu().numpy()
 
 
 def _numpy(values: Tensor) -> NDArray[np.float64]:

@@ -1,0 +1,1 @@
+"""Rows on disk to the paper's tables; knows no method."""

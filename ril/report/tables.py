@@ -45,7 +45,7 @@ def table2(rows: pd.DataFrame) -> str:
     lines.append("| AER, paper | " + " | ".join(by_paper) + " | |")
     lines.append("| P, ours | " + " | ".join(performances) + f" | {average} |")
     lines.append("| P, paper | " + " | " * 4 + f"{paper_average} |")
-    return "\n".join(lines + ([""] + notes if notes else []))
+    return "\n".join(lines + (["", *notes] if notes else []))
 
 
 def fullest_run(rows: pd.DataFrame) -> pd.DataFrame:
@@ -54,7 +54,8 @@ def fullest_run(rows: pd.DataFrame) -> pd.DataFrame:
         return rows
     sizes = rows.groupby("run_id").agg(seeds=("seed", "size"), epochs=("epochs", "max"))
     chosen = sizes.sort_values(["seeds", "epochs"], kind="stable").index[-1]
-    return rows[rows["run_id"] == chosen]
+    of_chosen: pd.DataFrame = rows[rows["run_id"] == chosen]
+    return of_chosen
 
 
 def _spread(values: pd.Series[float], digits: int) -> str:

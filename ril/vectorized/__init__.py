@@ -1,0 +1,1 @@
+"""S independent networks, memories and environments as one: a leading seed axis everywhere."""

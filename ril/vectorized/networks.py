@@ -62,10 +62,13 @@ def self_attention(x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor) -> Te
     """Residual self-attention over the one token that a state is: x + γ·(xW + b).
 
     A softmax over one token is 1 whatever its query and key, which thus never receive a
-    gradient; only the value projection is left (docs/deviations.md, 2).
+    gradient; only the value projection is left (docs/deviations.md, D2).
 
     Args:
-        x: (S, B, n). weight: (S, n, n). bias: (S, 1, n). gamma: (S, 1, 1).
+        x: (S, B, n).
+        weight: (S, n, n) of the value projection.
+        bias: (S, 1, n) of the value projection.
+        gamma: (S, 1, 1) how much of it is added; starts at 0.
     """
     return torch.addcmul(x, gamma, torch.baddbmm(bias, x, weight))
 

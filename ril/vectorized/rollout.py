@@ -42,6 +42,11 @@ class Episodes:
         return total
 
     @property
+    def ends(self) -> NDArray[np.bool_]:
+        """(K,) whether the environment ended the episode, rather than the step limit."""
+        return self.terminated[np.arange(len(self.lengths)), self.lengths - 1]
+
+    @property
     def final_rewards(self) -> Floats:
         """(K,) reward of each episode's last step."""
         return self.rewards[np.arange(len(self.lengths)), self.lengths - 1]

@@ -33,11 +33,6 @@ class Streams:
         """(S, *shape) integers in [0, high)."""
         return np.stack([g.integers(high, size=shape) for g in self._generators])
 
-    def permutations(self, count: int, length: int) -> NDArray[np.int64]:
-        """(S, count, length): count shuffles of 0..length−1 per seed."""
-        ordered = np.tile(np.arange(length), (count, 1))
-        return np.stack([g.permuted(ordered, axis=1) for g in self._generators])
-
     def state_dict(self) -> list[Any]:
         """The generators' states, as plain numbers."""
         return [g.bit_generator.state for g in self._generators]

@@ -22,9 +22,7 @@ class ClippedAdam:
 
     BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
 
-    def __init__(
-        self, network: Network, learning_rate: float, gradient_clip: float | None
-    ) -> None:
+    def __init__(self, network: Network, learning_rate: float, gradient_clip: float | None) -> None:
         self.network = network
         self.learning_rate = learning_rate
         self.gradient_clip = gradient_clip

@@ -1,0 +1,103 @@
+"""Episodes of one policy: played side by side, put in order, packed as demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ril.demonstrations import Demonstrations
+from ril.environments import Environment, Floats
+
+Policy = Callable[[Floats], NDArray[np.integer]]  # (N, obs) raw observations -> (N,) actions
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One episode of T steps.
+
+    Attributes:
+        seed: what the environment was reset with.
+        observations: (T + 1, obs) raw states.
+        actions: (T,) actions.
+        rewards: (T,) rewards.
+        terminated: whether the environment ended it, rather than the step limit.
+    """
+
+    seed: int
+    observations: Floats
+    actions: NDArray[np.int64]
+    rewards: Floats
+    terminated: bool
+
+    @property
+    def length(self) -> int:
+        """T, in steps."""
+        return len(self.actions)
+
+    @property
+    def total_reward(self) -> float:
+        """The undiscounted return."""
+        return float(self.rewards.sum(dtype=np.float64))
+
+
+def play(environment: Environment, policy: Policy, seeds: Sequence[int]) -> list[Episode]:
+    """Play one episode per reset seed, all side by side; they come back in the seeds' order."""
+    copies = [environment.make() for _ in seeds]
+    observations = [[env.reset(seed=seed)[0]] for env, seed in zip(copies, seeds, strict=True)]
+    actions: list[list[int]] = [[] for _ in seeds]
+    rewards: list[list[float]] = [[] for _ in seeds]
+    terminated = [False] * len(seeds)
+    running = list(range(len(seeds)))
+    while running:
+        chosen = policy(np.array([observations[i][-1] for i in running], dtype=np.float32))
+        still = []
+        for i, action in zip(running, chosen.tolist(), strict=True):
+            observation, reward, terminated[i], truncated, _ = copies[i].step(action)
+            observations[i].append(observation)
+            actions[i].append(action)
+            rewards[i].append(float(reward))
+            if not (terminated[i] or truncated):
+                still.append(i)
+        running = still
+    for env in copies:
+        env.close()
+    return [
+        Episode(
+            seed,
+            np.array(observations[i], dtype=np.float32),
+            np.array(actions[i], dtype=np.int64),
+            np.array(rewards[i], dtype=np.float32),
+            bool(terminated[i]),
+        )
+        for i, seed in enumerate(seeds)
+    ]
+
+
+def put_first(
+    episodes: Sequence[Episode], first_length: int | None, minimum_return: float
+) -> list[Episode]:
+    """Move one episode to the front: the one that single-trajectory runs will see (Table 6).
+
+    It is the one whose length is nearest `first_length` among those that return at least
+    `minimum_return` (among all, if none does); of equally near ones the best, then the earliest.
+    The others keep their order, as all do if `first_length` is None.
+    """
+    if first_length is None:
+        return list(episodes)
+    able = [e for e in episodes if e.total_reward >= minimum_return] or episodes
+    first = min(able, key=lambda e: (abs(e.length - first_length), -e.total_reward))
+    return [first, *(episode for episode in episodes if episode is not first)]
+
+
+def pack(episodes: Sequence[Episode]) -> Demonstrations:
+    """The episodes, one after another, as one file of demonstrations holds them."""
+    return Demonstrations(
+        np.concatenate([e.observations for e in episodes]),
+        np.concatenate([e.actions for e in episodes]),
+        np.concatenate([e.rewards for e in episodes]),
+        np.array([e.length for e in episodes], dtype=np.int64),
+        np.array([e.terminated for e in episodes]),
+    )

@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from references import SelfAttention, copies_of, flat_of, gradients_of, random_network
+from torch import nn
+
+from ril.vectorized.networks import Architecture, Network, layer_norm, self_attention
+
+CPU = torch.device("cpu")
+FULL = Architecture(inputs=3, hidden=(8, 5), outputs=2)
+PLAIN = dataclasses.replace(FULL, attention=False, layer_norm=False)
+S, B = 3, 7
+
+architectures = st.builds(
+    Architecture,
+    inputs=st.integers(1, 5),
+    hidden=st.lists(st.integers(1, 6), max_size=3).map(tuple),
+    outputs=st.integers(1, 4),
+    attention=st.booleans(),
+    layer_norm=st.booleans(),
+    negative_slope=st.sampled_from([0.0, 0.01, 0.3]),
+)
+
+
+def inputs(size: int, *, rows: int = B) -> torch.Tensor:
+    return torch.randn(S, rows, size, generator=torch.Generator().manual_seed(1))
+
+
+def assert_like_modules(architecture: Architecture) -> None:
+    network, x = random_network(architecture, S), inputs(architecture.inputs)
+    expected = [module(rows) for module, rows in zip(copies_of(network), x, strict=True)]
+    torch.testing.assert_close(network(x), torch.stack(expected))
+
+
+def test_linear_is_linear_of_each_seed() -> None:
+    assert_like_modules(dataclasses.replace(PLAIN, hidden=()))
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.01, 0.2])
+def test_leaky_relu_has_the_slope_of_the_architecture(slope: float) -> None:
+    assert_like_modules(dataclasses.replace(PLAIN, negative_slope=slope))
+
+
+def test_layer_norm_is_layer_norm_of_each_seed() -> None:
+    x, weight, bias = inputs(4), inputs(4, rows=1), inputs(4, rows=1) + 1
+    expected = []
+    for seed in range(S):
+        module = nn.LayerNorm(4)
+        module.weight.data.copy_(weight[seed, 0])
+        module.bias.data.copy_(bias[seed, 0])
+        expected.append(module(x[seed]))
+    torch.testing.assert_close(layer_norm(x, weight, bias), torch.stack(expected))
+
+
+def full_attention_beside_ours(tokens: int) -> tuple[SelfAttention, torch.Tensor, torch.Tensor]:
+    """Query/key/value attention over T tokens, its output, and ours with the same value weights."""
+    torch.manual_seed(2)
+    reference = SelfAttention(4)
+    reference.gamma.data.fill_(0.7)
+    x = torch.randn(B, tokens, 4)
+    weight, bias = reference.value.weight.T[None], reference.value.bias[None, None]
+    ours = self_attention(x.reshape(1, -1, 4), weight, bias, reference.gamma[None, None])
+    return reference, reference(x), ours.reshape(x.shape)
+
+
+def test_self_attention_over_one_token_needs_neither_query_nor_key() -> None:
+    _, full, ours = full_attention_beside_ours(tokens=1)
+    torch.testing.assert_close(ours, full)
+
+
+def test_self_attention_over_two_tokens_would_need_them() -> None:
+    _, full, ours = full_attention_beside_ours(tokens=2)
+    assert not torch.allclose(ours, full)
+
+
+@pytest.mark.parametrize(("tokens", "some"), [(1, False), (2, True)])
+def test_query_and_key_get_a_gradient_only_beside_a_second_token(tokens: int, some: bool) -> None:
+    reference, full, _ = full_attention_beside_ours(tokens)
+    full.square().sum().backward()
+    for projection in (reference.query, reference.key):
+        assert bool(projection.weight.grad.any()) is some
+
+
+def test_value_gradient_is_that_of_full_attention() -> None:
+    reference, full, ours = full_attention_beside_ours(tokens=1)
+    parameters = [reference.value.weight, reference.value.bias, reference.gamma]
+    expected = torch.autograd.grad(full.square().sum(), parameters)
+    torch.testing.assert_close(torch.autograd.grad(ours.square().sum(), parameters), expected)
+
+
+@given(architectures)
+def test_network_is_its_modules_of_each_seed(architecture: Architecture) -> None:
+    assert_like_modules(architecture)
+
+
+@given(architectures)
+def test_gradient_is_that_of_each_seeds_modules(architecture: Architecture) -> None:
+    network, x = random_network(architecture, S), inputs(architecture.inputs)
+    expected = []
+    for module, rows in zip(copies_of(network), x, strict=True):
+        module(rows).square().mean().backward()
+        expected.append(flat_of(module, gradients=True))
+    found = gradients_of(network, network(x).square().mean(dim=(1, 2)))
+    torch.testing.assert_close(found, torch.stack(expected), rtol=1e-4, atol=1e-5)
+
+
+def test_no_seed_reaches_another() -> None:
+    network, x = random_network(FULL, S), inputs(3)
+    before = network(x)
+    with torch.no_grad():
+        network.flat[1] += 1.0
+        x[1] += 1.0
+    after = network(x)
+    assert torch.equal(before[[0, 2]], after[[0, 2]])
+    assert not torch.equal(before[1], after[1])
+
+
+@given(architectures)
+def test_parameter_count_is_that_of_the_modules(architecture: Architecture) -> None:
+    reference = copies_of(random_network(architecture, 1))[0]
+    assert architecture.parameter_count == flat_of(reference).numel()
+
+
+def test_parameters_are_views_of_the_flat_buffer() -> None:
+    network, x = random_network(FULL, S), inputs(3)
+    network.flat.zero_()
+    assert not network(x).any()
+
+
+def test_a_copy_answers_alike() -> None:
+    network, x = random_network(FULL, S), inputs(3)
+    assert torch.equal(network.copy()(x), network(x))
+
+
+def test_a_copy_has_a_buffer_of_its_own() -> None:
+    network, x = random_network(FULL, S), inputs(3)
+    before = network(x)
+    network.copy().flat.zero_()
+    assert torch.equal(network(x), before)
+
+
+def initialised(*seeds: int, purpose: str = "policy") -> Network:
+    return Network.initialise(FULL, seeds, purpose, CPU)
+
+
+def test_initial_parameters_do_not_depend_on_other_seeds() -> None:
+    assert torch.equal(initialised(5).flat[0], initialised(3, 5, 9).flat[1])
+
+
+def test_seeds_differ_in_initial_parameters() -> None:
+    first, second = initialised(0, 1).flat
+    assert not torch.equal(first, second)
+
+
+def test_purposes_differ_in_initial_parameters() -> None:
+    assert not torch.equal(initialised(0).flat, initialised(0, purpose="other").flat)
+
+
+@pytest.mark.parametrize("name", ["linear0", "value0", "linear1", "value1", "output"])
+@pytest.mark.parametrize("kind", ["weight", "bias"])
+def test_initial_linear_layers_fill_the_range_of_torch(name: str, kind: str) -> None:
+    network = initialised(*range(200))
+    fan_in = network.parameters[f"{name}.weight"].shape[1]
+    sizes = network.parameters[f"{name}.{kind}"].abs()
+    # torch.nn.Linear draws weight and bias uniformly within ±1/√fan_in.
+    assert sizes.max() <= fan_in**-0.5
+    assert sizes.max() > 0.98 * fan_in**-0.5
+    assert sizes.mean().item() == pytest.approx(0.5 * fan_in**-0.5, rel=0.1)
+
+
+def test_attention_begins_as_the_identity() -> None:
+    assert not initialised(0, 1).parameters["value0.gamma"].any()
+
+
+def test_layer_norm_begins_with_scale_one_and_no_shift() -> None:
+    parameters = initialised(0, 1).parameters
+    assert (parameters["norm1.weight"] == 1).all()
+    assert (parameters["norm1.bias"] == 0).all()
