@@ -11,7 +11,7 @@ from ril.environments import Environment, Floats
 from ril.vectorized.rollout import Environments
 from ril.vectorized.streams import Streams
 
-_COPIES = 20  # environments per seed that are played side by side
+_COPIES = 25  # environments per seed that are played side by side
 
 
 class Evaluation:

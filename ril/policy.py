@@ -82,14 +82,14 @@ def load_policy(path: str | Path, seed: int, which: str = "best") -> Policy:
     """
     try:
         content: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        seeds, architecture = content["seeds"], Architecture(**content["architecture"])
     except Exception as error:
         raise UserError(f"{path}: not a policy that ril saved ({type(error).__name__})") from None
-    if seed not in content["seeds"]:
-        raise UserError(f"seed={seed}: {path} has {content['seeds']}")
+    if seed not in seeds:
+        raise UserError(f"seed={seed}: {path} has {seeds}")
     if which not in ("best", "last"):
         raise UserError(f"which={which}: must be best or last")
-    index = content["seeds"].index(seed)
-    architecture = Architecture(**content["architecture"])
+    index = seeds.index(seed)
     network = Network(architecture, content[which][index : index + 1].clone())
     return Policy(
         content["env_id"], network, content["observation_low"], content["observation_high"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 import hydra
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import settings
+from omegaconf import DictConfig
 
 from ril.cli import store_schemas
 from ril.config import Config, from_hydra
@@ -23,7 +25,7 @@ torch.set_num_threads(1)
 settings.register_profile("ril", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("ril")
 
-#: A run of a second or two, in which random CartPole episodes often reach the (lowered) goal.
+#: A run of a second.
 QUICK = (
     "seeds=2",
     "method.epochs=3",
@@ -38,7 +40,8 @@ QUICK = (
     "evaluation.selection_episodes=2",
     "evaluation.every=2",
 )
-CARTPOLE = ("env=cartpole", "env.goal.minimum_return=20", "ablation.n=4")
+#: CartPole with a goal that some of an untrained policy's episodes reach, and others do not.
+CARTPOLE = ("env=cartpole", "env.goal.minimum_return=11", "ablation.n=4")
 
 #: How the expert of the tests acts on a raw observation.
 RULES: dict[str, Callable[[np.ndarray], int]] = {
@@ -49,16 +52,18 @@ RULES: dict[str, Callable[[np.ndarray], int]] = {
 Compose = Callable[..., Config]
 
 
+@cache
+def composed(*overrides: str) -> DictConfig:
+    """What Hydra makes of a command line; not to be changed."""
+    store_schemas()
+    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+        return hydra.compose("config", list(overrides))
+
+
 @pytest.fixture(scope="session")
 def compose() -> Compose:
-    """The checked configuration that a command line gives."""
-    store_schemas()
-
-    def composed(*overrides: str) -> Config:
-        with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
-            return from_hydra(hydra.compose("config", list(overrides)))
-
-    return composed
+    """The checked configuration that a command line gives, a new one at each call."""
+    return lambda *overrides: from_hydra(composed(*overrides))
 
 
 @pytest.fixture(scope="session")
@@ -121,13 +126,13 @@ def demonstration_files(
 def quick(compose: Compose, demonstration_files: dict[str, Path]) -> Compose:
     """The configuration of a small run on CartPole, or as the overrides say."""
 
-    def composed(*overrides: str) -> Config:
+    def quickly(*overrides: str) -> Config:
         config = compose(*QUICK, *CARTPOLE, *overrides)
         if config.demonstrations is None:
             config.demonstrations = str(demonstration_files[config.env.name])
         return config
 
-    return composed
+    return quickly
 
 
 @pytest.fixture(scope="session")

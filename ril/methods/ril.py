@@ -233,7 +233,7 @@ class RIL:
             "pre": self.pre,
             "pos": self.pos,
             "stopping": self.stopping,
-            **self._streams,
+            **{f"{purpose} stream": streams for purpose, streams in self._streams.items()},
         }
 
     def state_dict(self) -> dict[str, Any]:

@@ -1,0 +1,436 @@
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from ril.config import Config
+from ril.demonstrations import shipped_path
+from ril.evaluation import Evaluation
+from ril.learners.cloning import Cloning, exploration_ratio
+from ril.learners.goal_sampler import select
+from ril.learners.inverse_dynamics import InverseDynamics
+from ril.learners.q_learning import QLearning, explore, sample_softmax
+from ril.methods.base import Progress, Task
+from ril.methods.ril import RIL
+from ril.vectorized.networks import Architecture, Network
+from ril.vectorized.replay import Replay
+from ril.vectorized.rollout import Environments, Episodes
+from ril.vectorized.streams import Streams
+
+CPU = torch.device("cpu")
+MakeTask = Callable[[Config], Task]
+
+
+@pytest.fixture
+def make(quick: Any, make_task: MakeTask) -> Callable[..., RIL]:
+    """RIL on the quick configuration, with overrides."""
+
+    def made(*overrides: str) -> RIL:
+        config = quick(*overrides)
+        return RIL(config.method, make_task(config))
+
+    return made
+
+
+def trained(method: RIL) -> list[Progress]:
+    return list(method.train())
+
+
+def copied(state: Any) -> Any:
+    """A state as torch.save and the safe torch.load hand it on."""
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    buffer.seek(0)
+    return torch.load(buffer, weights_only=True)
+
+
+def assert_equal_states(found: Any, expected: Any, where: str = "state") -> None:
+    """Bit for bit, tensors too."""
+    assert type(found) is type(expected), where
+    if isinstance(expected, Tensor):
+        assert torch.equal(found, expected), where
+    elif isinstance(expected, dict):
+        assert found.keys() == expected.keys(), where
+        for name in expected:
+            assert_equal_states(found[name], expected[name], f"{where}.{name}")
+    elif isinstance(expected, list):
+        assert len(found) == len(expected), where
+        for index, (one, other) in enumerate(zip(found, expected, strict=True)):
+            assert_equal_states(one, other, f"{where}[{index}]")
+    else:
+        assert found == expected, where
+
+
+# Sizes as in conf/, since which kernel multiplies depends on them.
+SETTINGS = {
+    "cartpole": ("method.epochs=5",),
+    "mountaincar": ("env=mountaincar", "env.goal.minimum_return=null", "method.epochs=4"),
+    "lunarlander": (
+        "env=lunarlander",
+        "env.goal.minimum_return=null",
+        f"demonstrations={shipped_path('lunarlander')}",
+        "method.epochs=2",
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=SETTINGS)
+def alone_and_among(
+    request: pytest.FixtureRequest, quick: Any, make_task: MakeTask
+) -> tuple[tuple[RIL, list[Progress]], ...]:
+    """Seed 5 alone, and between seeds 3 and 9."""
+    runs = []
+    for seeds in ("[5]", "[3,5,9]"):
+        config = quick(
+            *SETTINGS[request.param],
+            f"seeds={seeds}",
+            "method.inverse_dynamics.batch_size=128",
+            "method.cloning.batch_size=32",
+            "method.q_learning.batch_size=32",
+        )
+        method = RIL(config.method, make_task(config))
+        runs.append((method, trained(method)))
+    return tuple(runs)
+
+
+def test_a_seeds_policy_does_not_depend_on_other_seeds(alone_and_among: Any) -> None:
+    (alone, _), (among, _) = alone_and_among
+    assert torch.equal(among.policy.flat[1], alone.policy.flat[0])
+
+
+def test_a_seeds_inverse_dynamics_do_not_depend_on_other_seeds(alone_and_among: Any) -> None:
+    (alone, _), (among, _) = alone_and_among
+    found = among.inverse_dynamics.network.flat[1]
+    assert torch.equal(found, alone.inverse_dynamics.network.flat[0])
+
+
+def test_a_seeds_progress_does_not_depend_on_other_seeds(alone_and_among: Any) -> None:
+    (_, alone), (_, among) = alone_and_among
+    for one, several in zip(alone, among, strict=True):
+        assert several.env_samples[1] == one.env_samples[0]
+        assert several.expert_samples[1] == one.expert_samples[0]
+        assert several.metrics.keys() == one.metrics.keys()
+        for name, values in one.metrics.items():
+            assert several.metrics[name][1] == values[0], name
+        np.testing.assert_array_equal(several.pseudo_labels[1], one.pseudo_labels[0])
+
+
+def test_seeds_differ(alone_and_among: Any) -> None:
+    _, (among, _) = alone_and_among
+    assert not torch.equal(among.policy.flat[0], among.policy.flat[1])
+
+
+def test_training_twice_gives_the_same(make: Any) -> None:
+    first, second = make(), make()
+    trained(first)
+    trained(second)
+    assert_equal_states(second.state_dict(), first.state_dict())
+
+
+def test_training_changes_everything_that_learns(make: Any) -> None:
+    method = make()
+    before = copied(method.state_dict())
+    trained(method)
+    after = method.state_dict()
+    assert not torch.equal(after["policy"], before["policy"])
+    for name in ("inverse_dynamics", "cloning", "q_learning"):
+        assert after["parts"][name]["optimizer"]["steps"] > 0
+
+
+LONG = ("method.epochs=6", "ablation.n=5", "method.stopping.patience=5")
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        (),
+        ("method.goal_sampler.memory=epoch", "method.q_learning.target_interval=7"),
+        ("method.imitation=false",),
+        ("method.reinforcement=false",),
+    ],
+)
+def test_going_on_from_a_saved_state_is_as_if_never_stopped(make: Any, overrides: Any) -> None:
+    uninterrupted, stopped = make(*LONG, *overrides), make(*LONG, *overrides)
+    expected = trained(uninterrupted)
+    epochs = stopped.train()
+    for _ in range(3):
+        next(epochs)
+    resumed = make(*LONG, *overrides)
+    resumed.load_state_dict(copied(stopped.state_dict()))
+    rest = trained(resumed)
+    assert [progress.epoch for progress in rest] == [4, 5, 6]
+    for found, progress in zip(rest, expected[3:], strict=True):
+        np.testing.assert_array_equal(found.env_samples, progress.env_samples)
+        for name, values in progress.metrics.items():
+            np.testing.assert_array_equal(found.metrics[name], values, err_msg=name)
+    assert_equal_states(resumed.state_dict(), uninterrupted.state_dict())
+
+
+def test_a_finished_state_has_nothing_left_to_train(make: Any) -> None:
+    finished, resumed = make(), make()
+    trained(finished)
+    resumed.load_state_dict(copied(finished.state_dict()))
+    assert trained(resumed) == []
+
+
+def networks(method: RIL, purpose: str, inputs: int) -> Network:
+    """Fresh networks as RIL begins with."""
+    shape, task = method.config.network, method.task
+    architecture = Architecture(
+        inputs, tuple(shape.hidden), task.environment.action_count, negative_slope=0.01
+    )
+    return Network.initialise(architecture, task.seeds, purpose, CPU)
+
+
+class Player:
+    """Plays one ε-greedy episode per seed, with RIL's streams of random numbers."""
+
+    def __init__(self, method: RIL, policy: Network) -> None:
+        self.policy, self.task = policy, method.task
+        self.kind = method.config.exploration.kind
+        self.environments = Environments(self.task.environment, len(self.task.seeds))
+        self.exploration = Streams(self.task.seeds, "exploration")
+        self.resets = Streams(self.task.seeds, "resets")
+
+    def play(self, epsilon: np.ndarray) -> Episodes:
+        uniform = torch.from_numpy(
+            self.exploration.uniform(self.task.environment.max_episode_steps, 2)
+        )
+
+        def act(observations: np.ndarray, step: int) -> np.ndarray:
+            with torch.no_grad():
+                values = self.policy(torch.from_numpy(observations)[:, None])
+            numbers = uniform[:, step].T[..., None]  # (2, S, 1)
+            return explore(values, torch.from_numpy(epsilon), numbers, self.kind)[:, 0].numpy()
+
+        return self.environments.play(act, self.resets.integers(2**31))
+
+
+def q_learning_alone(method: RIL, epochs: int, epsilon: float) -> Network:
+    """DQN from the same parts: play an episode, remember it, learn from the memory."""
+    config, task = method.config.q_learning, method.task
+    size, seeds = task.environment.observation_size, task.seeds
+    policy = networks(method, "policy", size)
+    capacity = round(10 * len(task.expert.observations) / task.expert.trajectories)
+    memory = Replay(len(seeds), capacity, size, CPU)
+    q_learning = QLearning(policy, memory, config, Streams(seeds, "replay batches"))
+    player = Player(method, policy)
+    for _ in range(epochs):
+        memory.append(player.play(np.full(len(seeds), epsilon)))
+        q_learning.train(config.updates)
+    return policy
+
+
+@pytest.mark.parametrize("kind", ["softmax", "uniform"])
+def test_without_imitation_it_is_q_learning_alone(make: Any, kind: str) -> None:
+    method = make(
+        "method.imitation=false",
+        "method.epochs=8",
+        "method.exploration.epsilon=0.3",
+        f"method.exploration.kind={kind}",
+        "method.q_learning.target_interval=5",
+    )
+    trained(method)
+    expected = q_learning_alone(method, epochs=8, epsilon=0.3)
+    assert torch.equal(method.policy.flat, expected.flat)
+
+
+def test_without_imitation_nothing_is_imitated(make: Any) -> None:
+    method = make("method.imitation=false")
+    before = copied(method.state_dict())["parts"]
+    trained(method)
+    after = method.state_dict()["parts"]
+    for name in ("inverse_dynamics", "cloning", "pre", "stopping"):
+        assert_equal_states(after[name], before[name], name)
+
+
+def test_without_imitation_no_expert_sample_is_used(make: Any) -> None:
+    assert trained(make("method.imitation=false"))[-1].expert_samples.tolist() == [0, 0]
+
+
+def random_transitions(method: RIL, policy: Network) -> Replay:
+    """I^pre: transitions of the untrained policy, ten episodes per seed side by side."""
+    environment, seeds = method.task.environment, method.task.seeds
+    count = len(seeds)
+    capacity = method.config.goal_sampler.pre_steps_per_action * environment.action_count
+    pre = Replay(count, capacity, environment.observation_size, CPU)
+    streams, copies = Streams(seeds, "pre"), Environments(environment, 10 * count)
+    while (pre.sizes < capacity).any():
+        uniform = torch.from_numpy(streams.uniform(environment.max_episode_steps, 10))
+
+        def act(observations: np.ndarray, step: int, uniform: Tensor = uniform) -> np.ndarray:
+            with torch.no_grad():
+                values = policy(torch.from_numpy(observations.reshape(count, 10, -1)))
+            return sample_softmax(values, uniform[:, step]).flatten().numpy()
+
+        episodes = copies.play(act, streams.integers(2**31, 10).ravel())
+        pre.append(episodes, keep=(pre.sizes < capacity).repeat(10))
+    return pre
+
+
+def imitation_alone(method: RIL, epochs: int, n: float, goal: float) -> tuple[Network, Network]:
+    """Iterated imitation from observation, from the same parts; π_φ and M_θ."""
+    config, task = method.config, method.task
+    size, seeds = task.environment.observation_size, task.seeds
+    policy = networks(method, "policy", size)
+    dynamics = InverseDynamics(
+        networks(method, "inverse dynamics", 2 * size),
+        config.inverse_dynamics,
+        Streams(seeds, "inverse dynamics batches"),
+    )
+    cloning = Cloning(policy, config.cloning, Streams(seeds, "cloning batches"))
+    sampler, ratio = Streams(seeds, "goal sampler"), Streams(seeds, "exploration ratio")
+    player = Player(method, policy)
+
+    states = torch.from_numpy(task.expert.observations)
+    every_states = states.expand(len(seeds), -1, -1)
+    every_next = torch.from_numpy(task.expert.next_observations).expand(len(seeds), -1, -1)
+    pre = random_transitions(method, policy)
+    dynamics.standardise(pre.everything())
+    pos = Replay(len(seeds), pre.capacity, size, CPU)
+    goals = np.zeros(len(seeds))
+    for epoch in range(epochs):
+        limit = 0.0 if epoch == 0 else 1.0 if epoch >= n else 1 - 1 / (1 + (n / epoch - 1) ** -2)
+        uniform = sampler.uniform(2 * pre.capacity)
+        share = np.minimum(limit, goals)
+        dynamics.train(select(pre, pos, share, task.environment.action_count, uniform))
+        cloning.train(states, dynamics.label(every_states, every_next))
+        with torch.no_grad():
+            epsilon = exploration_ratio(policy(every_states), ratio.uniform(len(states)))
+        episodes = player.play(epsilon)
+        goals = (episodes.returns >= goal).astype(float)
+        pos.append(episodes, keep=episodes.returns >= goal)
+    return policy, dynamics.network
+
+
+def test_without_reinforcement_it_is_imitation_alone(make: Any) -> None:
+    method = make("method.reinforcement=false", "method.epochs=8")
+    goals = [progress.metrics["goals"] for progress in trained(method)]
+    assert 0 < np.mean(goals[:-1]) < 1  # so that the goal sampler mixes I^pre and I^pos
+    policy, dynamics = imitation_alone(method, epochs=8, n=4, goal=11)
+    assert torch.equal(method.policy.flat, policy.flat)
+    assert torch.equal(method.inverse_dynamics.network.flat, dynamics.flat)
+
+
+def test_without_reinforcement_no_q_learning_happens(make: Any) -> None:
+    method = make("method.reinforcement=false")
+    before = copied(method.state_dict())["parts"]["q_learning"]
+    trained(method)
+    after = method.state_dict()["parts"]["q_learning"]
+    for name in ("optimizer", "replay", "streams"):
+        assert_equal_states(after[name], before[name], name)
+
+
+def test_the_memory_holds_ten_mean_expert_trajectories(make: Any) -> None:
+    method = make("ablation.trajectories=3")
+    lengths = len(method.task.expert.observations) / 3
+    assert method.q_learning.replay.capacity == round(10 * lengths)
+
+
+def test_the_random_transitions_are_as_many_as_asked(make: Any) -> None:
+    method = make("method.epochs=1")
+    trained(method)
+    assert method.pre.sizes.tolist() == [2 * 60, 2 * 60]  # |A| · pre_steps_per_action
+
+
+def test_environment_samples_are_the_steps_of_the_own_episodes(make: Any) -> None:
+    method = make("method.episodes=2", "method.q_learning.replay_trajectories=100")
+    progress = trained(method)
+    assert progress[-1].env_samples.tolist() == method.q_learning.replay.sizes.tolist()
+
+
+def test_training_returns_are_means_of_the_own_episodes(make: Any) -> None:
+    progress = trained(make("method.episodes=2"))
+    samples = np.array([np.zeros(2), *(each.env_samples for each in progress)])
+    for epoch, each in enumerate(progress):  # CartPole pays 1 for each step
+        mean_length = (samples[epoch + 1] - samples[epoch]) / 2
+        np.testing.assert_allclose(each.metrics["training_return"], mean_length)
+
+
+def test_expert_samples_count_the_expert_once_per_epoch(make: Any) -> None:
+    method = make()
+    expected = [[epoch * len(method.task.expert.observations)] * 2 for epoch in (1, 2, 3)]
+    assert [progress.expert_samples.tolist() for progress in trained(method)] == expected
+
+
+def test_successes_are_kept(make: Any) -> None:
+    method = make("env.goal.minimum_return=1")
+    progress = trained(method)
+    assert method.pos.sizes.tolist() == np.minimum(progress[-1].env_samples, 120).tolist()
+
+
+def test_failures_are_not(make: Any) -> None:
+    method = make("env.goal.minimum_return=501")
+    trained(method)
+    assert method.pos.sizes.tolist() == [0, 0]
+
+
+def test_goals_are_the_share_of_successes(make: Any) -> None:
+    for goal, share in ((1, 1.0), (501, 0.0)):
+        progress = trained(make(f"env.goal.minimum_return={goal}", "method.episodes=2"))
+        assert progress[-1].metrics["goals"].tolist() == [share, share]
+
+
+def test_an_epochs_memory_forgets_earlier_successes(make: Any) -> None:
+    method = make(
+        "method.goal_sampler.memory=epoch",
+        "env.goal.minimum_return=1",
+        "method.goal_sampler.pre_steps_per_action=500",
+    )
+    *_, before_last, last = trained(method)
+    assert method.pos.sizes.tolist() == (last.env_samples - before_last.env_samples).tolist()
+
+
+def test_training_ends_after_its_epochs(make: Any) -> None:
+    assert [progress.epoch for progress in trained(make("method.epochs=3"))] == [1, 2, 3]
+
+
+def test_training_ends_once_all_seeds_have_stopped(make: Any) -> None:
+    # No loss falls by 99 % in an epoch, so every seed stops after the second.
+    method = make("method.stopping.patience=1", "method.stopping.loss_tolerance=0.99")
+    progress = trained(method)
+    assert [each.stopped.tolist() for each in progress] == [[False, False], [True, True]]
+
+
+def test_a_fixed_epsilon_is_kept(make: Any) -> None:
+    progress = trained(make("method.exploration.epsilon=0.25"))
+    assert all(each.metrics["epsilon"].tolist() == [0.25, 0.25] for each in progress)
+
+
+def test_epsilon_is_otherwise_the_policys_own(make: Any) -> None:
+    found = np.array([each.metrics["epsilon"] for each in trained(make())])
+    assert ((found > 0) & (found < 1)).all()
+    assert len(np.unique(found)) > 1
+
+
+def test_act_is_greedy_for_each_seed(make: Any) -> None:
+    method = make()
+    observations = np.random.default_rng(0).normal(size=(2 * 5, 4)).astype(np.float32)
+    values = method.policy(torch.from_numpy(observations).view(2, 5, 4))
+    expected = values.argmax(dim=-1).flatten().tolist()
+    assert method.act(observations).tolist() == expected
+    assert len(set(expected)) > 1
+
+
+def test_it_learns_to_balance_the_pole(quick: Any, make_task: MakeTask) -> None:
+    config = quick(
+        "env.goal.minimum_return=195",
+        "method.epochs=15",
+        "method.goal_sampler.pre_steps_per_action=500",
+        "method.inverse_dynamics.updates=50",
+        "method.inverse_dynamics.learning_rate=0.005",
+        "method.cloning.updates=50",
+        "method.cloning.learning_rate=0.005",
+        "method.q_learning.updates=10",
+    )
+    method = RIL(config.method, make_task(config))
+    evaluation = Evaluation(method.task.environment, method.task.seeds)
+    assert evaluation.returns(method.act, 10, "before").mean() < 50
+    trained(method)
+    assert evaluation.returns(method.act, 10, "after").mean(axis=1).min() > 100

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from ril.report.cli import main
+from ril.report.paper import number, paper, paper_cell
+from ril.report.tables import fullest_run, table2
+from ril.results import Row, load_results
+
+HEAD = """\
+**One expert trajectory (Table 2)**: average episodic reward and performance P of RIL,
+mean ± standard deviation over seeds.
+
+| RIL | CartPole | Acrobot | MountainCar | LunarLander | Average P |
+|---|---|---|---|---|---|
+"""
+PAPER = "| AER, paper | 500.00 ± 0.00 | -79.52 ± 4.49 | -100.29 ± 1.59 | 261.73 ± 9.91 | |\n"
+PAPER_P = "| P, paper |  |  |  |  | 1.04 ± 0.03 |"
+
+
+def rows(*cells: dict[str, object]) -> pd.DataFrame:
+    """Rows of Table 2's setting with some values changed."""
+    usual = {
+        "run_id": "a",
+        "env": "mountaincar",
+        "method": "ril",
+        "seed": 0,
+        "k": 2.0,
+        "n": 150.0,
+        "trajectories": 1,
+        "expert_return": None,
+        "epochs": 150,
+        "aer": -105.0,
+        "performance": 1.0,
+    }
+    return pd.DataFrame([usual | cell for cell in cells]).reindex(columns=list(Row.__annotations__))
+
+
+def our_cells(table: str) -> list[str]:
+    [line] = [line for line in table.splitlines() if line.startswith("| AER, ours")]
+    return [cell.strip() for cell in line.split("|")[2:-2]]
+
+
+def test_the_whole_table() -> None:
+    found = table2(
+        rows(
+            {"env": "cartpole", "run_id": "b", "aer": 500.0, "performance": 1.0},
+            {"env": "acrobot", "run_id": "c", "aer": -81.25, "performance": 1.005},
+            {"seed": 0, "aer": -100.0, "performance": 1.05},
+            {"seed": 1, "aer": -104.0, "performance": 1.01},
+            {"env": "lunarlander", "run_id": "d", "seed": 0, "aer": 200.0, "performance": 0.9},
+            {"env": "lunarlander", "run_id": "d", "seed": 1, "aer": 260.0, "performance": 1.0},
+            {"env": "lunarlander", "run_id": "d", "seed": 2, "aer": 260.0, "performance": 1.1},
+        )
+    )
+    ours = (
+        "| AER, ours | 500.00 ± 0.00 (1 seed) | -81.25 ± 0.00 (1 seed) "
+        "| -102.00 ± 2.00 (2 seeds) | 240.00 ± 28.28 (3 seeds) | |\n"
+    )
+    performance = (
+        "| P, ours | 1.000 ± 0.000 | 1.005 ± 0.000 | 1.030 ± 0.020 | 1.000 ± 0.082 | 1.009 |\n"
+    )
+    assert found == HEAD + ours + PAPER + performance + PAPER_P
+
+
+def test_what_is_not_run_names_its_command(tmp_path: Path) -> None:
+    found = table2(load_results([tmp_path]))
+    assert found == (
+        HEAD
+        + "| AER, ours | not run | not run | not run | not run | |\n"
+        + PAPER
+        + "| P, ours | – | – | – | – | – |\n"
+        + PAPER_P
+        + """
+
+- CartPole is not run: `ril-run env=cartpole method=ril`
+- Acrobot is not run: `ril-run env=acrobot method=ril`
+- MountainCar is not run: `ril-run env=mountaincar method=ril`
+- LunarLander is not run: `ril-run env=lunarlander method=ril`"""
+    )
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"k": 3.0}, {"n": 75.0}, {"trajectories": 25}, {"expert_return": -140.0}, {"method": "bc"}],
+)
+def test_other_settings_are_left_out(changes: dict[str, object]) -> None:
+    assert our_cells(table2(rows(changes))) == ["not run"] * 4
+
+
+def test_of_several_runs_the_one_with_most_seeds_is_shown_and_named() -> None:
+    found = table2(
+        rows(
+            {"run_id": "few", "aer": -90.0},
+            {"run_id": "many", "seed": 0},
+            {"run_id": "many", "seed": 1},
+        )
+    )
+    assert our_cells(found)[2] == "-105.00 ± 0.00 (2 seeds)"
+    assert "- MountainCar: of 2 runs, many is shown, the fullest" in found
+
+
+def test_of_runs_with_equally_many_seeds_the_longest_is_the_fullest() -> None:
+    found = fullest_run(rows({"run_id": "long"}, {"run_id": "short", "epochs": 3}))
+    assert found["run_id"].tolist() == ["long"]
+
+
+# Table 2 of the paper: AER of each method, by environment, and its average performance.
+TABLE_2 = {
+    "Random": ("18.70", "-482.60", "-200.00", "-182.72", "0.00 ± 0.00"),
+    "Expert": ("500.00", "-85.00", "-106.00", "235.96", "1.00 ± 0.00"),
+    "BC": (
+        "490.96 ± 19.65", "-122.75 ± 2.99", "-129.92 ± 4.14", "131.84 ± 53.25", "0.84 ± 0.12",
+    ),
+    "GAIL": (
+        "185.07 ± 168.25", "-279.02 ± 104.91", "-196.00 ± 10.99", "59.03 ± 87.76", "0.36 ± 0.23",
+    ),
+    "ILPO": (
+        "456.87 ± 4.10", "-125.92 ± 19.23", "-200.00 ± 0.00", "-451.81 ± 247.53", "0.29 ± 0.75",
+    ),
+    "IUPE": (
+        "144.64 ± 11.65", "-232.38 ± 50.92", "-198.00 ± 6.00", "-203.05 ± 35.51", "0.19 ± 0.27",
+    ),
+    "RIL": ("500.00 ± 0.00", "-79.52 ± 4.49", "-100.29 ± 1.59", "261.73 ± 9.91", "1.04 ± 0.03"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("method", TABLE_2)
+def test_the_papers_numbers_are_its_own(method: str) -> None:
+    reported = paper()["table2"]
+    names = ("cartpole", "acrobot", "mountaincar", "lunarlander")
+    found = [number(reported["returns"][method][env]) for env in names]
+    assert (*found, number(reported["average_performance"][method])) == TABLE_2[method]
+
+
+def test_a_rows_cell_in_the_paper() -> None:
+    assert paper_cell(rows({}).iloc[0]) == "-100.29 ± 1.59 (One expert trajectory (Table 2))"
+
+
+@pytest.mark.parametrize("changes", [{"k": 3.0}, {"env": "hill"}, {"expert_return": -140.0}])
+def test_a_row_without_a_cell_in_the_paper(changes: dict[str, object]) -> None:
+    assert paper_cell(rows(changes).iloc[0]) is None
+
+
+def report(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
+    monkeypatch.setattr(sys, "argv", ["ril-report", *arguments])
+    main()
+
+
+def test_the_command_shows_the_rows_of_its_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for folder, env in (("one", "mountaincar"), ("two", "acrobot")):
+        (tmp_path / folder).mkdir()
+        rows({"env": env, "run_id": env}).to_csv(tmp_path / folder / "results.csv", index=False)
+    report(monkeypatch, "table2", "--outputs", str(tmp_path / "one"), str(tmp_path / "two"))
+    ran = "-105.00 ± 0.00 (1 seed)"
+    assert our_cells(capsys.readouterr().out) == ["not run", ran, ran, "not run"]
+
+
+def test_the_command_names_a_folder_that_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SystemExit, match=rf"ril-report: --outputs {tmp_path}/none: no such folder"):
+        report(monkeypatch, "table2", "--outputs", str(tmp_path / "none"))
+
+
+def test_the_command_needs_no_runs_yet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    report(monkeypatch, "table2")
+    assert capsys.readouterr().out.count("is not run: `ril-run env=") == 4

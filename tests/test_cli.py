@@ -1,0 +1,369 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from conftest import CARTPOLE, QUICK
+from hydra.core.global_hydra import GlobalHydra
+
+from ril.cli import main
+from ril.environments import Environment
+from ril.evaluation import Evaluation
+from ril.policy import load_policy
+from ril.results import CurvePoint, Row
+
+SCRIPTS = Path(sys.executable).parent
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended, and what it wrote."""
+
+    status: int
+    output: str
+    errors: str
+
+
+def shell(folder: Path, *command: str) -> Ended:
+    """Run an installed console script as a process of its own."""
+    done = subprocess.run(
+        [SCRIPTS / command[0], *command[1:]],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    return Ended(done.returncode, done.stdout, done.stderr)
+
+
+@pytest.fixture
+def here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., Ended]:
+    """`ril-run` in this process, which is as real and faster."""
+
+    def ran(*arguments: str) -> Ended:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["ril-run", *arguments])
+        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set by the command, and put back after
+        GlobalHydra.instance().clear()
+        try:
+            main()
+            status: Any = 0
+        except SystemExit as end:
+            status = end.code
+        captured = capfd.readouterr()
+        if isinstance(status, str):  # the interpreter prints it on stderr, and ends with 1
+            return Ended(1, captured.out, f"{captured.err}{status}\n")
+        return Ended(status, captured.out, captured.err)
+
+    return ran
+
+
+def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
+    """Refused with one line that names the key or file, and nothing written."""
+    assert ended.status == 1
+    assert ended.errors.startswith("ril-run: ")
+    assert ended.errors.count("\n") == 1
+    assert ended.errors.endswith("\n")
+    assert names in ended.errors
+    assert ended.output == ""
+    assert not (folder / "outputs").exists()
+
+
+MISTAKES = {
+    "env=nope": "env=nope: unknown, choose one of acrobot, cartpole",
+    "method=nope": "method=nope: unknown, choose one of ril",
+    "ablation=nope": "ablation=nope: unknown",
+    "fidelity=nope": "fidelity=nope: unknown",
+    "nope=1": "nope: no such key",
+    "seed=3": "seed: no such key; is it seeds?",
+    "ablation.nope=1": "ablation.nope: no such key of ablation",
+    "method.cloning.lerning_rate=1": "method.cloning.lerning_rate: no such key of method.cloning; "
+    "is it learning_rate?",
+    "+method.nope=1": "method.nope: no such key of method",
+    "ablation.k=0": "ablation.k=0",
+    "ablation.k=-1": "ablation.k=-1",
+    "ablation.k=nan": "ablation.k=nan",
+    "ablation.k=steep": "ablation.k: ",
+    "ablation.n=0": "ablation.n=0",
+    "ablation.trajectories=0": "ablation.trajectories=0",
+    "ablation.trajectories=101": "ablation.trajectories=101: must be within 1..100",
+    "ablation.expert_return=-3": "ablation.expert_return=-3",
+    "seeds=[]": "seeds=[]",
+    "seeds=0": "seeds=0",
+    "seeds=[1,1]": "seeds=[1, 1]",
+    "seeds=[-1]": "seeds=[-1]",
+    "seeds=abc": "seeds=abc",
+    "seeds=[1": "seeds=[1",
+    "method.epochs=0": "method.epochs=0",
+    "method.epochs=1.5": "method.epochs: ",
+    "method.network.hidden=3": "method.network.hidden: ",
+    "method.q_learning.discount=2": "method.q_learning.discount=2.0: must be within 0..1",
+    "method.exploration.kind=foo": "method.exploration.kind=foo: must be one of softmax, uniform",
+    "method.name=foo": "method.name=foo",
+    "device=nonsense": "device=nonsense",
+    "device=meta": "device=meta",
+    "env=gym": "env.id: must be given",
+    "demonstrations=none.npz": "demonstrations=none.npz: no such file",
+    "env.id=Nope-v0": "env.id=Nope-v0",
+    "env.kwargs.nope=1": "env.id=MountainCar-v0",
+    "env.observation_low=[0]": "env.observation_low",
+    "env.goal.minimum_return=many": "env.goal.minimum_return: ",
+    "resume=maybe": "resume: ",
+    "nope": "nope",
+}
+
+
+@pytest.mark.parametrize("argument", MISTAKES)
+def test_a_mistake_is_one_line_that_names_it(
+    here: Callable[..., Ended], tmp_path: Path, argument: str
+) -> None:
+    override = argument if argument.startswith("+env") else argument.replace("+", "+", 1)
+    assert_one_line(here(override), MISTAKES[argument], tmp_path)
+
+
+@pytest.fixture(params=["missing", "torn", "of another environment", "with NaN"])
+def faulty(
+    request: pytest.FixtureRequest, tmp_path: Path, demonstration_files: dict[str, Path]
+) -> Path:
+    """Demonstrations for MountainCar that cannot be used."""
+    path, good = tmp_path / "faulty.npz", demonstration_files["mountaincar"]
+    if request.param == "torn":
+        path.write_bytes(good.read_bytes()[:-100])
+    elif request.param == "of another environment":
+        path = demonstration_files["cartpole"]
+    elif request.param == "with NaN":
+        with np.load(good) as archive:
+            arrays = dict(archive)
+        arrays["observations"][7] = np.nan
+        np.savez(path, **arrays)
+    return path
+
+
+def test_faulty_demonstrations_are_one_line_that_names_them(
+    here: Callable[..., Ended], tmp_path: Path, faulty: Path
+) -> None:
+    assert_one_line(here(f"demonstrations={faulty}"), f"demonstrations={faulty}: ", tmp_path)
+
+
+def test_a_folder_that_cannot_be_written_is_one_line_that_names_it(
+    here: Callable[..., Ended], tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    assert_one_line(here("output_dir=file/below"), "output_dir: file/below/", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "argument",
+    ["env=nope", "method.nope=1", "ablation.k=0", "seeds=[]", "device=nonsense", "output_dir=f/x"],
+)
+def test_a_mistake_is_one_line_of_the_installed_command_too(tmp_path: Path, argument: str) -> None:
+    (tmp_path / "f").touch()
+    ended = shell(tmp_path, "ril-run", argument)
+    assert_one_line(ended, argument.partition("=")[0], tmp_path)
+
+
+def test_a_torn_checkpoint_is_one_line_that_names_it(
+    here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
+) -> None:
+    results = here(*quick_command).output.split()[-1]
+    folder = tmp_path / results
+    (folder / "results.csv").unlink()
+    (folder / "checkpoint.pt").write_bytes(b"torn")
+    ended = here(*quick_command)
+    assert ended.status == 1
+    assert ended.errors.startswith(f"ril-run: {results}/checkpoint.pt: cannot be read")
+    assert ended.errors.count("\n") == 1
+
+
+@pytest.fixture(scope="session")
+def quick_command(demonstration_files: dict[str, Path]) -> tuple[str, ...]:
+    return *QUICK, *CARTPOLE, f"demonstrations={demonstration_files['cartpole']}"
+
+
+@pytest.fixture(scope="module")
+def first(
+    tmp_path_factory: pytest.TempPathFactory, quick_command: tuple[str, ...]
+) -> tuple[Path, Ended]:
+    """The working folder of an installed `ril-run`, and how it ended."""
+    folder = tmp_path_factory.mktemp("first")
+    return folder, shell(folder, "ril-run", *quick_command)
+
+
+@pytest.fixture(scope="module")
+def results(first: tuple[Path, Ended]) -> Path:
+    """The only run's folder."""
+    folder, _ = first
+    [found] = folder.rglob("results.csv")
+    return found.parent
+
+
+def test_a_run_ends_well_and_quietly(first: tuple[Path, Ended]) -> None:
+    assert (first[1].status, first[1].errors) == (0, "")
+
+
+def test_a_run_says_where_its_rows_are(first: tuple[Path, Ended], results: Path) -> None:
+    assert first[1].output.splitlines()[-1] == str(results.relative_to(first[0]))
+
+
+def test_a_run_writes_one_folder_and_nothing_else(first: tuple[Path, Ended], results: Path) -> None:
+    assert results.parent == first[0] / "outputs" / "cartpole" / "ril"
+    assert sorted(str(path.relative_to(results)) for path in first[0].rglob("*.*")) == [
+        "config.yaml",
+        "curve.csv",
+        "policy.pt",
+        "provenance.json",
+        "results.csv",
+    ]
+
+
+@pytest.mark.parametrize(("name", "kind"), [("results.csv", Row), ("curve.csv", CurvePoint)])
+def test_a_run_fills_its_tables(results: Path, name: str, kind: Any) -> None:
+    table = pd.read_csv(results / name)
+    assert table.columns.tolist() == [field.name for field in fields(kind)]
+    assert set(table["seed"]) == {0, 1}
+    assert not table.drop(columns=["expert_return", "commit"], errors="ignore").isna().any().any()
+
+
+def test_a_run_shows_the_rows_that_it_leaves(first: tuple[Path, Ended], results: Path) -> None:
+    for row in pd.read_csv(results / "results.csv").itertuples():
+        cells = [str(row.seed), f"{row.aer:.2f}", f"{row.aer_std:.2f}", f"{row.aer_last:.2f}"]
+        lines = [line.replace("│", " ").split() for line in first[1].output.splitlines()]
+        assert any(line[:4] == cells for line in lines)
+
+
+def test_a_runs_policies_are_plain_tensors(results: Path) -> None:
+    assert torch.load(results / "policy.pt", weights_only=True)["env_id"] == "CartPole-v1"
+
+
+@pytest.mark.parametrize(("which", "column"), [("best", "aer"), ("last", "aer_last")])
+def test_a_runs_policies_act_as_they_were_scored(
+    results: Path, cartpole: Environment, which: str, column: str
+) -> None:
+    low, high = cartpole.low, cartpole.high
+    for row in pd.read_csv(results / "results.csv").to_dict("records"):
+        policy = load_policy(results / "policy.pt", row["seed"], which)
+
+        def act(scaled: np.ndarray, policy: Any = policy) -> np.ndarray:
+            return np.asarray(policy.predict(scaled * (high - low) / 2 + (high + low) / 2))
+
+        returns = Evaluation(cartpole, [row["seed"]]).returns(act, 3, "of the result")
+        assert returns.mean() == row[column]
+
+
+def test_a_runs_policy_plays(results: Path) -> None:
+    policy = load_policy(results / "policy.pt", seed=1)
+    copy = gym.make(policy.env_id)
+    observation, _ = copy.reset(seed=0)
+    for _ in range(5):
+        action = int(policy.predict(observation))
+        assert copy.action_space.contains(action)
+        observation, *_ = copy.step(action)
+
+
+@pytest.fixture(scope="module")
+def second(
+    first: tuple[Path, Ended], results: Path, quick_command: tuple[str, ...]
+) -> tuple[Ended, bool]:
+    """The same command again, and whether it left the rows as they were."""
+    before = (results / "results.csv").stat().st_mtime_ns
+    ended = shell(first[0], "ril-run", *quick_command)
+    return ended, (results / "results.csv").stat().st_mtime_ns == before
+
+
+def test_the_same_command_again_runs_nothing(second: tuple[Ended, bool]) -> None:
+    ended, unchanged = second
+    assert unchanged
+    assert "finished before, so not run again; resume=false runs it anew" in ended.output
+    assert "epoch" not in ended.output.replace("epochs", "")
+
+
+def test_the_same_command_again_shows_the_same_rows(
+    first: tuple[Path, Ended], second: tuple[Ended, bool]
+) -> None:
+    def shown(ended: Ended) -> list[str]:
+        return [line for line in ended.output.splitlines() if line.startswith(("│", "AER"))]
+
+    assert shown(second[0]) == shown(first[1])
+    assert len(shown(second[0])) == 3
+
+
+def test_without_resume_it_runs_anew_beside(
+    here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
+) -> None:
+    for _ in range(2):
+        assert here(*quick_command, "resume=false").status == 0
+    folders = sorted(path.parent.name for path in tmp_path.rglob("results.csv"))
+    assert folders == [folders[0], f"{folders[0]}-2"]
+
+
+def test_the_report_reads_what_a_run_left(first: tuple[Path, Ended], results: Path) -> None:
+    # The run's n is not Table 2's, so its cell stays empty there.
+    ended = shell(first[0], "ril-report", "table2")
+    assert (ended.status, ended.errors) == (0, "")
+    assert "- CartPole is not run: `ril-run env=cartpole method=ril`" in ended.output
+
+
+def test_the_report_shows_a_run_in_the_papers_setting(
+    here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
+) -> None:
+    assert here(*quick_command, "ablation.n=150").status == 0
+    [path] = tmp_path.rglob("results.csv")
+    rows = pd.read_csv(path)
+    ended = shell(tmp_path, "ril-report", "table2")
+    mean, spread = rows["aer"].mean(), rows["aer"].std(ddof=0)
+    assert f"| AER, ours | {mean:.2f} ± {spread:.2f} (2 seeds) | not run |" in ended.output
+
+
+def test_a_sweep_leaves_a_run_per_cell(
+    here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
+) -> None:
+    sweep = ("-m", "hydra.launcher.n_jobs=1", "ablation.k=1,3")
+    assert here(*quick_command, *sweep).status == 0
+    tables = [pd.read_csv(path) for path in tmp_path.rglob("results.csv")]
+    assert sorted(table["k"].iloc[0] for table in tables) == [1, 3]
+
+
+def test_the_configuration_can_be_looked_at(here: Callable[..., Ended], tmp_path: Path) -> None:
+    ended = here("env=acrobot", "--cfg", "job")
+    assert (ended.status, ended.errors) == (0, "")
+    assert "id: Acrobot-v1" in ended.output
+    assert not (tmp_path / "outputs").exists()
+
+
+def test_interrupting_a_run_is_one_line(tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [SCRIPTS / "ril-run", "seeds=1"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        assert process.stdout is not None
+        assert "1 seeds together" in process.stdout.readline()  # training has begun
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 1
+    assert errors.startswith("ril-run: stopped; ")
+    assert errors.count("\n") == 1
+    assert not list(tmp_path.rglob("results.csv"))

@@ -1,0 +1,272 @@
+from __future__ import annotations
+
+import dataclasses
+from functools import reduce
+from typing import Any
+
+import pytest
+from conftest import composed
+from omegaconf import OmegaConf
+
+from ril.config import Config, from_hydra, run_id
+from ril.errors import UserError
+
+NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")
+GYM = ("env=gym", "env.id=MountainCar-v0")
+
+
+@pytest.mark.parametrize("env", [(f"env={name}",) for name in NAMES] + [GYM])
+@pytest.mark.parametrize("fidelity", ["works", "paper"])
+def test_every_environment_composes(compose: Any, env: tuple[str, ...], fidelity: str) -> None:
+    config = compose(*env, f"fidelity={fidelity}")
+    assert all(size > 0 for size in config.method.network.hidden)
+
+
+def test_an_environment_of_ones_own_is_named_after_its_id(compose: Any) -> None:
+    assert compose(*GYM).env.name == "MountainCar-v0"
+
+
+def test_an_environment_of_ones_own_can_be_named(compose: Any) -> None:
+    assert compose(*GYM, "env.name=hill").env.name == "hill"
+
+
+def at(config: Any, key: str) -> Any:
+    """The value of a dotted key."""
+    return reduce(getattr, key.split("."), config)
+
+
+# §4.1: neurons of the two layers, learning rates of M_θ, of π_φ by imitation, and by Q-learning.
+TOPOLOGIES = {
+    "cartpole": ([8, 8], 5e-4, 5e-4, 5e-4),
+    "acrobot": ([32, 32], 5e-5, 5e-5, 5e-4),
+    "mountaincar": ([32, 32], 5e-3, 5e-4, 5e-4),
+    "lunarlander": ([128, 128], 5e-4, 5e-7, 5e-6),
+}
+
+
+def topology(config: Config) -> tuple[list[int], float, float, float]:
+    method: Any = config.method
+    rates = (method.inverse_dynamics, method.cloning, method.q_learning)
+    return method.network.hidden, *(part.learning_rate for part in rates)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_topology_and_learning_rates_are_the_papers(compose: Any, name: str) -> None:
+    assert topology(compose(f"env={name}", "fidelity=paper")) == TOPOLOGIES[name]
+
+
+@pytest.mark.parametrize("name", ["cartpole", "acrobot", "mountaincar"])
+def test_what_works_is_the_papers_where_that_works(compose: Any, name: str) -> None:
+    assert topology(compose(f"env={name}")) == TOPOLOGIES[name]
+
+
+# What the paper says of all environments, and where.
+STATED = {
+    "method.epochs": 150,  # §4
+    "ablation.k": 2,  # §4
+    "ablation.n": 150,  # §6.4.1
+    "ablation.trajectories": 1,  # §5.2.1
+    "ablation.expert_return": None,
+    "method.inverse_dynamics.gradient_clip": 1.0,  # §4
+    "method.cloning.gradient_clip": 1.0,  # §4
+    "method.q_learning.gradient_clip": 0.5,  # §4
+    "method.q_learning.replay_trajectories": 10,  # §3.4
+    "method.network.attention": True,  # §4.1
+    "method.network.layer_norm": True,  # §3.4
+    "method.exploration.epsilon": None,  # §3.4: the policy's own exploration ratio
+    "method.imitation": True,
+    "method.reinforcement": True,
+    "evaluation.episodes": 100,  # §4
+    "seeds": list(range(10)),  # §5.2.1
+}
+
+
+@pytest.mark.parametrize("fidelity", ["works", "paper"])
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("key", STATED)
+def test_what_the_paper_states_is_the_default(
+    compose: Any, key: str, name: str, fidelity: str
+) -> None:
+    assert at(compose(f"env={name}", f"fidelity={fidelity}"), key) == STATED[key]
+
+
+@pytest.mark.parametrize(
+    ("name", "gym_id", "solved"),
+    [
+        ("cartpole", "CartPole-v1", 195),
+        ("mountaincar", "MountainCar-v0", -110),
+        ("lunarlander", "LunarLander-v3", 200),
+    ],
+)
+def test_environments_are_solved_where_the_paper_says(
+    compose: Any, name: str, gym_id: str, solved: float
+) -> None:
+    env = compose(f"env={name}").env
+    assert (env.id, env.solved_return) == (gym_id, solved)
+
+
+@pytest.mark.parametrize(
+    ("given", "seeds"), [("1", [0]), ("3", [0, 1, 2]), ("[7]", [7]), ("[5,2]", [5, 2])]
+)
+def test_seeds_are_a_count_or_a_list(compose: Any, given: str, seeds: list[int]) -> None:
+    assert compose(f"seeds={given}").seeds == seeds
+
+
+def checked(key: str, value: Any) -> Config:
+    """The usual configuration with one value changed."""
+    changed = composed().copy()
+    OmegaConf.update(changed, key, value)
+    return from_hydra(changed)
+
+
+@pytest.mark.parametrize(
+    "given", [0, -3, [], [1, 1], [-1], "abc", 1.5, True, [1.0], ["a"], None, [[1]], {"a": 1}]
+)
+def test_other_seeds_are_refused(given: Any) -> None:
+    with pytest.raises(UserError, match=r"^seeds=.*: must be a count of 1 or more, or a list"):
+        checked("seeds", given)
+
+
+POSITIVE = (
+    "method.epochs",
+    "method.episodes",
+    "method.inverse_dynamics.learning_rate",
+    "method.inverse_dynamics.updates",
+    "method.inverse_dynamics.batch_size",
+    "method.inverse_dynamics.gradient_clip",
+    "method.cloning.learning_rate",
+    "method.cloning.updates",
+    "method.cloning.batch_size",
+    "method.cloning.gradient_clip",
+    "method.q_learning.learning_rate",
+    "method.q_learning.updates",
+    "method.q_learning.batch_size",
+    "method.q_learning.gradient_clip",
+    "method.q_learning.replay_trajectories",
+    "method.goal_sampler.pre_steps_per_action",
+    "method.stopping.patience",
+    "ablation.k",
+    "ablation.trajectories",
+    "evaluation.episodes",
+    "evaluation.every",
+    "evaluation.selection_episodes",
+)
+
+
+@pytest.mark.parametrize("value", [0, -1])
+@pytest.mark.parametrize("key", POSITIVE)
+def test_what_must_be_positive_is(key: str, value: int) -> None:
+    with pytest.raises(UserError, match=rf"^{key}={value}(\.0)?: must be .*above 0"):
+        checked(key, value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("method.q_learning.discount", 2, "within 0..1"),
+        ("method.q_learning.discount", -0.1, "within 0..1"),
+        ("method.q_learning.discount", float("nan"), "within 0..1"),
+        ("method.exploration.epsilon", 1.5, "within 0..1"),
+        ("method.exploration.epsilon", -1, "within 0..1"),
+        ("method.q_learning.target_interval", -1, "0 or more"),
+        ("method.stopping.loss_tolerance", -0.1, "0 or more"),
+        ("method.network.negative_slope", -0.1, "0 or more"),
+        ("method.network.hidden", [32, 0], "above 0"),
+        ("ablation.n", 0, "1 or more"),
+        ("ablation.n", 0.5, "1 or more"),
+        ("ablation.n", float("nan"), "1 or more"),
+        ("ablation.k", float("nan"), "finite"),
+        ("ablation.k", float("inf"), "finite"),
+        ("method.q_learning.learning_rate", float("nan"), "finite"),
+        ("method.q_learning.replay_trajectories", float("inf"), "finite"),
+        ("method.exploration.kind", "foo", "one of softmax, uniform"),
+        ("method.inverse_dynamics.inputs", "foo", "one of states, change"),
+        ("method.q_learning.loss", "foo", "one of huber, mse"),
+        ("method.goal_sampler.memory", "foo", "one of run, epoch"),
+    ],
+)
+def test_a_value_out_of_bounds_is_refused_by_name(key: str, value: Any, says: str) -> None:
+    with pytest.raises(UserError) as refused:
+        checked(key, value)
+    assert str(refused.value).startswith(f"{key}=")
+    assert says in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("method.q_learning.discount", 0),
+        ("method.q_learning.discount", 1),
+        ("method.exploration.epsilon", 0),
+        ("method.exploration.epsilon", 1),
+        ("method.q_learning.target_interval", 0),
+        ("method.q_learning.gradient_clip", None),
+        ("method.stopping.patience", None),
+        ("method.stopping.loss_tolerance", 0),
+        ("method.network.hidden", []),
+        ("ablation.n", 1),
+        ("ablation.k", 0.5),
+    ],
+)
+def test_a_value_at_its_bounds_is_taken(key: str, value: Any) -> None:
+    assert at(checked(key, value), key) == value
+
+
+def identifier(compose: Any, *overrides: str, sha256: str = "0") -> str:
+    return run_id(compose(*overrides), sha256)
+
+
+def test_run_id_is_ten_hexadecimal_digits(compose: Any) -> None:
+    found = identifier(compose)
+    assert len(found) == 10
+    int(found, 16)
+
+
+@pytest.mark.parametrize(
+    "override", ["output_dir=elsewhere", "resume=false", "demonstrations=copy.npz"]
+)
+def test_run_id_does_not_depend_on_what_changes_no_number(compose: Any, override: str) -> None:
+    assert identifier(compose, override) == identifier(compose)
+
+
+@pytest.mark.parametrize(
+    ("one", "same"),
+    [
+        ("seeds=3", "seeds=[0,1,2]"),
+        ("ablation.k=2", "ablation.k=2.0"),
+        ("method.q_learning.learning_rate=5e-4", "method.q_learning.learning_rate=0.0005"),
+    ],
+)
+def test_run_id_is_one_for_one_meaning(compose: Any, one: str, same: str) -> None:
+    assert identifier(compose, one) == identifier(compose, same)
+
+
+def leaves(node: Any, key: str = "") -> list[tuple[str, Any]]:
+    """All values of a configuration, with their keys."""
+    if dataclasses.is_dataclass(node):
+        node = {field.name: getattr(node, field.name) for field in dataclasses.fields(node)}
+    if isinstance(node, dict):
+        return [leaf for name in node for leaf in leaves(node[name], f"{key}.{name}".strip("."))]
+    return [(key, node)]
+
+
+def test_run_id_depends_on_every_other_key(compose: Any) -> None:
+    plain = identifier(compose)
+    for key, value in leaves(compose()):
+        if key in ("output_dir", "resume", "demonstrations"):
+            continue
+        config = compose()
+        parent, _, name = key.rpartition(".")
+        node = at(config, parent) if parent else config
+        setattr(node, name, [9] if isinstance(value, list) else f"other than {value}")
+        assert run_id(config, "0") != plain, key
+
+
+def test_run_id_depends_on_the_demonstrations_content(compose: Any) -> None:
+    assert identifier(compose, sha256="1") != identifier(compose, sha256="0")
+
+
+def test_run_id_does_not_depend_on_how_a_value_was_chosen(compose: Any) -> None:
+    assert identifier(compose, "env=cartpole", "fidelity=paper") == identifier(
+        compose, "env=cartpole", "fidelity=works"
+    )
