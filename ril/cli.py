@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import sys
+from collections.abc import Sequence
 from typing import NoReturn
 
 import hydra
@@ -21,6 +22,12 @@ from ril.paths import config_folder
 
 _TRACEBACK_WANTED = "HYDRA_FULL_ERROR" in os.environ
 _MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError)
+
+#: Overrides that say which cell it is, how far and where it is run.
+_SAME_CELL = (
+    *("env=", "method=", "ablation=", "ablation.", "seeds=", "method.epochs="),
+    *("output_dir=", "resume=", "device="),
+)
 
 
 def main() -> None:
@@ -75,9 +82,14 @@ def _run(composed: DictConfig) -> None:
     alone = HydraConfig.get().mode != RunMode.MULTIRUN
     display = ConsoleDisplay(console, live=alone and console.is_terminal)
     try:
-        run(config, display)
+        run(config, display, _variant(HydraConfig.get().overrides.task))
     finally:
         display.stop()
+
+
+def _variant(overrides: Sequence[str]) -> str:
+    """Those overrides that make a cell another than the method as it comes."""
+    return " ".join(sorted(given for given in overrides if not given.startswith(_SAME_CELL)))
 
 
 def in_one_line(error: Exception) -> str:

@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
@@ -17,6 +16,7 @@ from ril.config import Config
 from ril.methods import base
 from ril.record import Record
 from ril.report.paper import paper_cell
+from ril.results import load_results
 
 _LINE_SECONDS = 10.0  # between two lines of a log file
 
@@ -93,7 +93,7 @@ class ConsoleDisplay:
 
     def finished(self, rows: Path, *, skipped: bool) -> None:
         """Show the rows, their mean beside the paper's number, and the folder."""
-        frame = pd.read_csv(rows)
+        frame = load_results([rows.parent])
         table = Table(
             "seed", "AER", "± episodes", "last", "performance", "samples to best", "epochs"
         )

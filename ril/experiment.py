@@ -8,6 +8,7 @@ import io
 import json
 import math
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -23,7 +24,7 @@ from ril.errors import UserError
 from ril.evaluation import Evaluation, random_returns
 from ril.methods.base import Method, Progress, Task
 from ril.policy import save_policies
-from ril.provenance import commit, provenance
+from ril.provenance import provenance
 from ril.record import Record
 from ril.results import Row, write_atomically, write_csv
 
@@ -48,8 +49,13 @@ class Display(Protocol):
         """The rows are written; skipped says that an earlier run had written them."""
 
 
-def run(config: Config, display: Display) -> Path:
+def run(config: Config, display: Display, variant: str = "") -> Path:
     """Train and score one cell.
+
+    Args:
+        config: what to run.
+        display: what shows it.
+        variant: how the rows are told from those of the method as it comes; see `Row`.
 
     Returns:
         The run's folder, `<output_dir>/<env>/<method>/<run_id>`; `results.csv` in it has a row
@@ -86,67 +92,73 @@ def run(config: Config, display: Display) -> Path:
 
     module, name = METHODS[config.method.name].split(":")
     method: Method = getattr(importlib.import_module(module), name)(config.method, task)
-    record = Record(config.seeds, method.policy.flat)
-    evaluation = Evaluation(environment, config.seeds)
+    cell = _Cell(
+        config,
+        environment,
+        demonstrations,
+        method,
+        Record(config.seeds, method.policy.flat),
+        Evaluation(environment, config.seeds),
+        folder,
+        variant,
+    )
     display.started(config, folder)
-    seconds = _train(config, method, record, evaluation, demonstrations, folder, display)
+    seconds = _train(cell, display)
     display.scoring()
-    started = time.monotonic()
-    scores = {
-        which: _score(evaluation, method, parameters, config.evaluation.episodes)
-        for which, parameters in (("best", record.best), ("last", record.last))
-    }
-    rows = _rows(config, identifier, environment, demonstrations, record, scores)
-    seconds += time.monotonic() - started
-    rows = [dataclasses.replace(row, wall_seconds=round(seconds, 2)) for row in rows]
-
-    save_policies(folder / "policy.pt", environment, method.policy.architecture, record)
-    write_csv(folder / "curve.csv", record.curve)
+    rows = _rows(cell, seconds, details)
+    save_policies(folder / "policy.pt", environment, method.policy.architecture, cell.record)
+    write_csv(folder / "curve.csv", cell.record.curve)
     write_csv(folder / "results.csv", rows)  # last: a run with rows is a finished run
     (folder / "checkpoint.pt").unlink(missing_ok=True)
     display.finished(folder / "results.csv", skipped=False)
     return folder
 
 
-def _train(
-    config: Config,
-    method: Method,
-    record: Record,
-    evaluation: Evaluation,
-    demonstrations: Demonstrations,
-    folder: Path,
-    display: Display,
-) -> float:
+@dataclass(frozen=True)
+class _Cell:
+    """What one run works with."""
+
+    config: Config
+    environment: Environment
+    demonstrations: Demonstrations
+    method: Method
+    record: Record
+    evaluation: Evaluation
+    folder: Path
+    variant: str
+
+
+def _train(cell: _Cell, display: Display) -> float:
     """Train to the end, from the checkpoint if there is one; returns the seconds it took."""
-    checkpoint = folder / "checkpoint.pt"
+    method, record, settings = cell.method, cell.record, cell.config.evaluation
+    checkpoint = cell.folder / "checkpoint.pt"
     seconds = _load_checkpoint(checkpoint, method, record)
-    expert_actions = demonstrations.first(config.ablation.trajectories).actions
+    expert_actions = cell.demonstrations.first(cell.config.ablation.trajectories).actions
     started = saved = time.monotonic()
     for progress in method.train():
         live = ~record.stopped
         just_stopped = record.advance(progress, method.policy.flat)
-        last = progress.epoch == config.method.epochs
-        looked_at = live if last or progress.epoch % config.evaluation.every == 0 else just_stopped
-        if looked_at.any():
+        last = progress.epoch == cell.config.method.epochs
+        if last or progress.epoch % settings.every == 0 or just_stopped.any():
             metrics = dict(progress.metrics)
             if progress.pseudo_labels is not None:
-                right = progress.pseudo_labels == expert_actions
-                metrics["label_accuracy"] = right.mean(axis=1)
+                metrics["label_accuracy"] = (progress.pseudo_labels == expert_actions).mean(axis=1)
             purpose = f"after epoch {progress.epoch}"
-            returns = evaluation.returns(method.act, config.evaluation.selection_episodes, purpose)
-            record.evaluated(returns.mean(axis=1), looked_at, metrics)
+            returns = cell.evaluation.returns(method.act, settings.selection_episodes, purpose)
+            record.evaluated(returns.mean(axis=1), live, metrics)
         display.advanced(progress, record)
         if time.monotonic() - saved > CHECKPOINT_SECONDS:
             saved = time.monotonic()
-            state = {
-                "seconds": seconds + saved - started,
-                "method": method.state_dict(),
-                "record": record.state_dict(),
-            }
-            buffer = io.BytesIO()
-            torch.save(state, buffer)
-            write_atomically(checkpoint, buffer.getvalue())
+            _save_checkpoint(checkpoint, method, record, seconds + saved - started)
     return seconds + time.monotonic() - started
+
+
+def _save_checkpoint(checkpoint: Path, method: Method, record: Record, seconds: float) -> None:
+    """Write all that the rest of the run depends on."""
+    state = {"seconds": seconds, "method": method.state_dict(), "record": record.state_dict()}
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    write_atomically(checkpoint, buffer.getvalue())
 
 
 def _load_checkpoint(checkpoint: Path, method: Method, record: Record) -> float:
@@ -165,58 +177,51 @@ def _load_checkpoint(checkpoint: Path, method: Method, record: Record) -> float:
     return float(state["seconds"])
 
 
-def _score(
-    evaluation: Evaluation, method: Method, parameters: torch.Tensor, episodes: int
-) -> NDArray[np.float64]:
+def _score(cell: _Cell, parameters: torch.Tensor) -> NDArray[np.float64]:
     """(S, episodes) returns of given policies on fresh episodes, the same starts for each call."""
-    method.policy.flat.copy_(parameters)
-    return evaluation.returns(method.act, episodes, "of the result")
+    cell.method.policy.flat.copy_(parameters)
+    episodes = cell.config.evaluation.episodes
+    return cell.evaluation.returns(cell.method.act, episodes, "of the result")
 
 
-def _rows(
-    config: Config,
-    identifier: str,
-    environment: Environment,
-    demonstrations: Demonstrations,
-    record: Record,
-    scores: dict[str, NDArray[np.float64]],
-) -> list[Row]:
-    """A row per seed."""
-    expert = float(demonstrations.returns.mean())
-    random = float(random_returns(environment, config.evaluation.episodes).mean())
-    method, ablation = config.method, config.ablation
-    pre_steps = getattr(getattr(method, "goal_sampler", None), "pre_steps_per_action", 0)
-    rows = []
-    for index, seed in enumerate(config.seeds):
-        best, last = scores["best"][index], scores["last"][index]
-        aer = float(best.mean())
-        rows.append(
-            Row(
-                run_id=identifier,
-                env=config.env.name,
-                method=method.name,
-                seed=seed,
-                k=ablation.k,
-                n=ablation.n,
-                trajectories=ablation.trajectories,
-                expert_return=ablation.expert_return,
-                epochs=int(record.epochs[index]),
-                best_epoch=int(record.best_epoch[index]),
-                aer=aer,
-                aer_std=float(best.std()),
-                aer_last=float(last.mean()),
-                performance=(aer - random) / (expert - random) if expert != random else math.nan,
-                env_samples=int(record.env_samples[index]),
-                expert_samples=int(record.expert_samples[index]),
-                pre_samples=pre_steps * environment.action_count,
-                samples_to_best=int(record.samples_to_best[index]),
-                random_return=random,
-                expert_return_measured=expert,
-                wall_seconds=0.0,
-                commit=commit(),
-            )
+def _rows(cell: _Cell, training_seconds: float, details: dict[str, Any]) -> list[Row]:
+    """Score the best and last policies; a row per seed."""
+    started = time.monotonic()
+    config, record, ablation = cell.config, cell.record, cell.config.ablation
+    best, last = _score(cell, record.best), _score(cell, record.last)
+    aer = best.mean(axis=1)
+    expert = float(cell.demonstrations.returns.mean())
+    random = float(random_returns(cell.environment, config.evaluation.episodes).mean())
+    performance = (aer - random) / (expert - random) if expert != random else aer * math.nan
+    seconds = training_seconds + time.monotonic() - started
+    return [
+        Row(
+            run_id=details["run_id"],
+            env=config.env.name,
+            method=config.method.name,
+            variant=cell.variant,
+            seed=seed,
+            k=ablation.k,
+            n=ablation.n,
+            trajectories=ablation.trajectories,
+            expert_return=ablation.expert_return,
+            epochs=int(record.epochs[index]),
+            best_epoch=int(record.best_epoch[index]),
+            aer=float(aer[index]),
+            aer_std=float(best[index].std()),
+            aer_last=float(last[index].mean()),
+            performance=float(performance[index]),
+            env_samples=int(record.env_samples[index]),
+            expert_samples=int(record.expert_samples[index]),
+            pre_samples=record.pre_samples,
+            samples_to_best=int(record.samples_to_best[index]),
+            random_return=random,
+            expert_return_measured=expert,
+            wall_seconds=round(seconds, 2),
+            commit=details["commit"],
         )
-    return rows
+        for index, seed in enumerate(config.seeds)
+    ]
 
 
 def _device(name: str) -> torch.device:

@@ -28,6 +28,7 @@ class Record:
         epochs: (S,) epochs trained.
         env_samples: (S,) environment steps learnt from.
         expert_samples: (S,) expert transitions learnt from.
+        pre_samples: random steps of I^pre, per seed.
     """
 
     _COUNTS = ("best_epoch", "samples_to_best", "epochs", "env_samples", "expert_samples")
@@ -43,11 +44,13 @@ class Record:
         self.epochs = np.zeros(count, dtype=np.int64)
         self.env_samples = np.zeros(count, dtype=np.int64)
         self.expert_samples = np.zeros(count, dtype=np.int64)
+        self.pre_samples = 0
         self.stopped = np.zeros(count, dtype=bool)
 
     def advance(self, progress: Progress, parameters: Tensor) -> NDArray[np.bool_]:
         """Take in one epoch; returns (S,) the seeds that have just stopped."""
         live = ~self.stopped
+        self.pre_samples = progress.pre_samples
         self.epochs[live] = progress.epoch
         self.env_samples[live] = progress.env_samples[live]
         self.expert_samples[live] = progress.expert_samples[live]
@@ -94,6 +97,7 @@ class Record:
             "best": self.best,
             "last": self.last,
             "best_aer": self.best_aer.tolist(),
+            "pre_samples": self.pre_samples,
             "stopped": self.stopped.tolist(),
             **{name: getattr(self, name).tolist() for name in self._COUNTS},
         }
@@ -104,6 +108,7 @@ class Record:
         self.best.copy_(state["best"])
         self.last.copy_(state["last"])
         self.best_aer = np.array(state["best_aer"])
+        self.pre_samples = state["pre_samples"]
         self.stopped = np.array(state["stopped"], dtype=bool)
         for name in self._COUNTS:
             setattr(self, name, np.array(state[name], dtype=np.int64))

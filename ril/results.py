@@ -18,6 +18,7 @@ class Row:
         run_id: of the cell.
         env: name of the environment.
         method: name of the method.
+        variant: keys that were set apart from the cell's own, "" for the method as it comes.
         seed: of the agent.
         k: eq. 2's slope.
         n: eq. 2's epochs.
@@ -42,6 +43,7 @@ class Row:
     run_id: str
     env: str
     method: str
+    variant: str
     seed: int
     k: float
     n: float
@@ -125,4 +127,5 @@ def load_results(folders: Sequence[Path]) -> pd.DataFrame:
     if not frames:
         return pd.DataFrame(columns=columns)
     rows = pd.concat([frame.reindex(columns=columns) for frame in frames], ignore_index=True)
+    rows["variant"] = rows["variant"].fillna("")
     return rows.drop_duplicates(["run_id", "seed"], ignore_index=True)

@@ -43,6 +43,7 @@ class Progress:
         epoch: epochs done, from 1.
         env_samples: (S,) environment steps learnt from so far (§5.2.2).
         expert_samples: (S,) expert transitions learnt from so far, counted once per epoch.
+        pre_samples: random steps taken before training, per seed.
         stopped: (S,) seeds whose training ended by the stopping rule at this epoch or before.
         metrics: named diagnostics, each (S,).
         pseudo_labels: (S, M) actions given to the expert's transitions; None without.
@@ -51,6 +52,7 @@ class Progress:
     epoch: int
     env_samples: NDArray[np.int64]
     expert_samples: NDArray[np.int64]
+    pre_samples: int
     stopped: NDArray[np.bool_]
     metrics: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     pseudo_labels: NDArray[np.int64] | None = None

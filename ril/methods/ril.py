@@ -102,6 +102,7 @@ class RIL:
                 self.epoch,
                 self.env_samples.copy(),
                 np.full_like(self.env_samples, self._expert_samples()),
+                self.pre.capacity if self.config.imitation else 0,
                 self.stopping.stopped.copy(),
                 metrics,
                 None if labels is None else labels.cpu().numpy(),

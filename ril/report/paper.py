@@ -26,8 +26,8 @@ def paper() -> dict[str, Any]:
 
 
 def in_setting(rows: pd.DataFrame, table: str) -> pd.Series[bool]:
-    """Which rows were run in a table's setting, with the usual expert."""
-    fits = rows["expert_return"].isna()
+    """Which rows were run in a table's setting: the usual expert, the method as it comes."""
+    fits = rows["expert_return"].isna() & (rows["variant"] == "")
     for column, value in paper()[table]["setting"].items():
         fits &= rows[column] == value
     return fits
@@ -45,5 +45,10 @@ def paper_cell(row: pd.Series[Any]) -> str | None:
         for method, by_environment in content["returns"].items():
             known = method.lower() == row["method"] and row["env"] in by_environment
             if known and bool(in_setting(frame, table).iloc[0]):
-                return f"{number(by_environment[row['env']])} ({content['caption']})"
+                budget = (
+                    f" after {content['epochs']} epochs"
+                    if row["epochs"] < content["epochs"]
+                    else ""
+                )
+                return f"{number(by_environment[row['env']])}{budget} ({content['caption']})"
     return None

@@ -34,6 +34,13 @@ def table2(rows: pd.DataFrame) -> str:
         ours.append(f"{_spread(cell['aer'], 2)} ({seeds})")
         performances.append(_spread(cell["performance"], 3))
         performance.append(cell["performance"].mean())
+        short = [
+            f"{have} of {reported[what]} {what}"
+            for what, have in (("seeds", len(cell)), ("epochs", cell["epochs"].max()))
+            if have < reported[what]
+        ]
+        if short:
+            notes.append(f"- {title} was run with {' and '.join(short)}")
         others = candidates.loc[candidates["env"] == env, "run_id"].nunique() - 1
         if others:
             run = cell["run_id"].iloc[0]
