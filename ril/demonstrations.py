@@ -57,10 +57,10 @@ class Demonstrations:
     sha256: str = ""
 
     @property
-    def returns(self) -> Floats:
+    def returns(self) -> NDArray[np.float64]:
         """(E,) undiscounted return of each trajectory."""
         starts = np.cumsum(self.lengths) - self.lengths
-        return np.add.reduceat(self.rewards, starts)
+        return np.add.reduceat(self.rewards, starts, dtype=np.float64)
 
     def first(self, trajectories: int) -> Demonstrations:
         """The first trajectories only, as the paper picks them.
