@@ -11,7 +11,7 @@ from typing import NoReturn
 import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
@@ -98,10 +98,14 @@ def in_one_line(error: Exception) -> str:
         group, _, choice = error.missing_cfg_file.rpartition("/")
         allowed = ", ".join(error.options or ())
         return f"{group}={choice}: unknown, choose one of {allowed}"
+    if isinstance(error, OverrideParseException):
+        return f"{error.override}: cannot be read as key=value"
     fault = error.__cause__ or error
     if isinstance(fault, ConfigKeyError | ConfigAttributeError) and fault.full_key:
         parent, _, key = fault.full_key.rpartition(".")
         known = [] if fault.object_type is None else list(_fields(fault.object_type))
+        if not known:
+            return f"{fault.full_key}: not there yet; give it as +{fault.full_key}=…"
         near = difflib.get_close_matches(key, known, n=1) or known
         where = f" of {parent}" if parent else ""
         return f"{fault.full_key}: no such key{where}; is it {', '.join(near)}?"

@@ -77,18 +77,21 @@ def play(environment: Environment, policy: Policy, seeds: Sequence[int]) -> list
 
 
 def put_first(
-    episodes: Sequence[Episode], first_length: int | None, minimum_return: float
+    episodes: Sequence[Episode], first_length: int | None, target_return: float, margin: float
 ) -> list[Episode]:
     """Move one episode to the front: the one that single-trajectory runs will see (Table 6).
 
-    It is the one whose length is nearest `first_length` among those that return at least
-    `minimum_return` (among all, if none does); of equally near ones the best, then the earliest.
-    The others keep their order, as all do if `first_length` is None.
+    It is the one whose length is nearest `first_length` among those that are what the expert is
+    meant to be: at most `margin` below `target_return`, and at most one standard deviation of
+    the returns (or `margin`) above it, lest a poor expert be shown by its best episode. If there
+    is none such, all count; of equally near ones it is the best, then the earliest. The others
+    keep their order, as all do if `first_length` is None.
     """
     if first_length is None:
         return list(episodes)
-    able = [e for e in episodes if e.total_reward >= minimum_return] or episodes
-    first = min(able, key=lambda e: (abs(e.length - first_length), -e.total_reward))
+    above = max(margin, float(np.std([e.total_reward for e in episodes])))
+    typical = [e for e in episodes if -margin <= e.total_reward - target_return <= above]
+    first = min(typical or episodes, key=lambda e: (abs(e.length - first_length), -e.total_reward))
     return [first, *(episode for episode in episodes if episode is not first)]
 
 

@@ -193,11 +193,23 @@ def from_hydra(composed: DictConfig) -> Config:
     """
     config = cast(Config, OmegaConf.to_object(composed))
     config.seeds = _seeds(config.seeds)
+    for key in _added(config):
+        raise UserError(f"{key}: no such key")
 
     for group in ("method", "ablation", "evaluation"):
         for key, value in _leaves(OmegaConf.to_container(composed[group]), group):
             _check(key, value)
     return config
+
+
+def _added(node: Any, parent: str = "") -> Iterator[str]:
+    """Full keys that no dataclass has, as `+key=value` adds them."""
+    if dataclasses.is_dataclass(node):
+        known = {field.name for field in dataclasses.fields(node)}
+        for name, child in vars(node).items():
+            if name not in known:
+                yield f"{parent}{name}"
+            yield from _added(child, f"{parent}{name}.")
 
 
 def _leaves(node: Any, key: str) -> Iterator[tuple[str, Any]]:

@@ -139,13 +139,15 @@ def _train(cell: _Cell, display: Display) -> float:
         live = ~record.stopped
         just_stopped = record.advance(progress, method.policy.flat)
         last = progress.epoch == cell.config.method.epochs
-        if last or progress.epoch % settings.every == 0 or just_stopped.any():
+        # A stop is looked at for its own seed only: the others' looks are not to depend on it.
+        looked_at = live if last or progress.epoch % settings.every == 0 else just_stopped
+        if looked_at.any():
             metrics = dict(progress.metrics)
             if progress.pseudo_labels is not None:
                 metrics["label_accuracy"] = (progress.pseudo_labels == expert_actions).mean(axis=1)
             purpose = f"after epoch {progress.epoch}"
             returns = cell.evaluation.returns(method.act, settings.selection_episodes, purpose)
-            record.evaluated(returns.mean(axis=1), live, metrics)
+            record.evaluated(returns.mean(axis=1), looked_at, metrics)
         display.advanced(progress, record)
         if time.monotonic() - saved > CHECKPOINT_SECONDS:
             saved = time.monotonic()

@@ -127,9 +127,8 @@ def _settings(config: ExpertConfig, kind: type) -> tuple[int, bool, dict[str, An
         default = {"n_envs": 1, "normalize": False}.get(key)
         if default is None:
             if key not in known:
-                raise UserError(
-                    f"{config.algorithm}.{key}={value}: {kind.__name__} has no such setting"
-                )
+                fault = f"{kind.__name__} has no such setting"
+                raise UserError(f"{config.algorithm}.{key}={value}: {fault}")
             default = known[key].default
         if isinstance(default, bool):
             fine, allowed = isinstance(value, bool), "true or false"

@@ -48,7 +48,7 @@ def make_expert(config: ExpertConfig, command: str, on_step: OnStep) -> dict[str
     environment = load_environment(config.env)
     started = time.monotonic()
     collected, steps, evaluation_mean = train(config, environment, on_step)
-    episodes = put_first(collected, config.first_length, config.target_return - config.margin)
+    episodes = put_first(collected, config.first_length, config.target_return, config.margin)
     record = {
         "command": command,
         "config": asdict(config),

@@ -35,7 +35,7 @@ def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
         "commit": commit(),
         "python": platform.python_version(),
         "versions": {name: version(name) for name in _LIBRARIES},
-        "platform": platform.platform(),
+        "platform": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
         "cores": os.cpu_count(),
         "demonstrations": {"file": demonstrations.name, "sha256": sha256},

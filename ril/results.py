@@ -127,5 +127,5 @@ def load_results(folders: Sequence[Path]) -> pd.DataFrame:
     if not frames:
         return pd.DataFrame(columns=columns)
     rows = pd.concat([frame.reindex(columns=columns) for frame in frames], ignore_index=True)
-    rows["variant"] = rows["variant"].fillna("")
+    rows["variant"] = rows["variant"].astype(object).fillna("")
     return rows.drop_duplicates(["run_id", "seed"], ignore_index=True)

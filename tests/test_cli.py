@@ -22,7 +22,7 @@ from ril.cli import main
 from ril.environments import Environment
 from ril.evaluation import Evaluation
 from ril.policy import load_policy
-from ril.results import CurvePoint, Row
+from ril.results import CurvePoint, Row, load_results
 
 SCRIPTS = Path(sys.executable).parent
 
@@ -94,7 +94,9 @@ MISTAKES = {
     "ablation.nope=1": "ablation.nope: no such key of ablation",
     "method.cloning.lerning_rate=1": "method.cloning.lerning_rate: no such key of method.cloning; "
     "is it learning_rate?",
-    "+method.nope=1": "method.nope: no such key of method",
+    "+nope=1": "nope: no such key",
+    "+method.nope=1": "method.nope: no such key",
+    "+env.goal.nope=1": "env.goal.nope: no such key",
     "ablation.k=0": "ablation.k=0",
     "ablation.k=-1": "ablation.k=-1",
     "ablation.k=nan": "ablation.k=nan",
@@ -108,7 +110,7 @@ MISTAKES = {
     "seeds=[1,1]": "seeds=[1, 1]",
     "seeds=[-1]": "seeds=[-1]",
     "seeds=abc": "seeds=abc",
-    "seeds=[1": "seeds=[1",
+    "seeds=[1": "seeds=[1: cannot be read as key=value",
     "method.epochs=0": "method.epochs=0",
     "method.epochs=1.5": "method.epochs: ",
     "method.network.hidden=3": "method.network.hidden: ",
@@ -120,11 +122,12 @@ MISTAKES = {
     "env=gym": "env.id: must be given",
     "demonstrations=none.npz": "demonstrations=none.npz: no such file",
     "env.id=Nope-v0": "env.id=Nope-v0",
-    "env.kwargs.nope=1": "env.id=MountainCar-v0",
+    "env.kwargs.nope=1": "env.kwargs.nope: not there yet; give it as +env.kwargs.nope=",
+    "+env.kwargs.nope=1": "env.id=MountainCar-v0: ",
     "env.observation_low=[0]": "env.observation_low",
     "env.goal.minimum_return=many": "env.goal.minimum_return: ",
     "resume=maybe": "resume: ",
-    "nope": "nope",
+    "nope": "nope: cannot be read as key=value",
 }
 
 
@@ -132,8 +135,9 @@ MISTAKES = {
 def test_a_mistake_is_one_line_that_names_it(
     here: Callable[..., Ended], tmp_path: Path, argument: str
 ) -> None:
-    override = argument if argument.startswith("+env") else argument.replace("+", "+", 1)
-    assert_one_line(here(override), MISTAKES[argument], tmp_path)
+    key = argument.partition("=")[0]
+    others = [usual for usual in QUICK if usual.partition("=")[0] != key]
+    assert_one_line(here(*others, argument), MISTAKES[argument], tmp_path)
 
 
 @pytest.fixture(params=["missing", "torn", "of another environment", "with NaN"])
@@ -236,7 +240,8 @@ def test_a_run_fills_its_tables(results: Path, name: str, kind: Any) -> None:
     table = pd.read_csv(results / name)
     assert table.columns.tolist() == [field.name for field in fields(kind)]
     assert set(table["seed"]) == {0, 1}
-    assert not table.drop(columns=["expert_return", "commit"], errors="ignore").isna().any().any()
+    may_be_empty = ["expert_return", "commit", "variant"]
+    assert not table.drop(columns=may_be_empty, errors="ignore").isna().any().any()
 
 
 def test_a_run_shows_the_rows_that_it_leaves(first: tuple[Path, Ended], results: Path) -> None:
@@ -312,28 +317,49 @@ def test_without_resume_it_runs_anew_beside(
 
 
 def test_the_report_reads_what_a_run_left(first: tuple[Path, Ended], results: Path) -> None:
-    # The run's n is not Table 2's, so its cell stays empty there.
+    # The run's settings are not Table 2's, so its cell stays empty there.
     ended = shell(first[0], "ril-report", "table2")
     assert (ended.status, ended.errors) == (0, "")
     assert "- CartPole is not run: `ril-run env=cartpole method=ril`" in ended.output
 
 
 def test_the_report_shows_a_run_in_the_papers_setting(
-    here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
+    here: Callable[..., Ended], tmp_path: Path
 ) -> None:
-    assert here(*quick_command, "ablation.n=150").status == 0
+    assert here("env=cartpole", "seeds=1", "method.epochs=1").status == 0
     [path] = tmp_path.rglob("results.csv")
-    rows = pd.read_csv(path)
+    [row] = pd.read_csv(path).to_dict("records")
     ended = shell(tmp_path, "ril-report", "table2")
-    mean, spread = rows["aer"].mean(), rows["aer"].std(ddof=0)
-    assert f"| AER, ours | {mean:.2f} ± {spread:.2f} (2 seeds) | not run |" in ended.output
+    assert f"| AER, ours | {row['aer']:.2f} ± 0.00 (1 seed) | not run |" in ended.output
+    assert "- CartPole was run with 1 of 10 seeds and 1 of 150 epochs" in ended.output
+
+
+@pytest.mark.parametrize(
+    ("overrides", "variant"),
+    [
+        (("ablation.k=3", "seeds=[4]", "method.epochs=1", "resume=false"), ""),
+        (("method.q_learning.loss=mse", "seeds=[4]"), "method.q_learning.loss=mse"),
+    ],
+)
+def test_rows_name_what_sets_their_method_apart(
+    here: Callable[..., Ended],
+    tmp_path: Path,
+    quick_command: tuple[str, ...],
+    overrides: tuple[str, ...],
+    variant: str,
+) -> None:
+    given = {override.partition("=")[0] for override in overrides}
+    usual = [each for each in quick_command if each.partition("=")[0] not in given]
+    assert here(*usual, *overrides).status == 0
+    found = load_results([tmp_path])["variant"].iloc[0].split()
+    cell = ("env=", "ablation.", "seeds=", "method.epochs=")
+    assert found == sorted([*(o for o in usual if not o.startswith(cell)), *variant.split()])
 
 
 def test_a_sweep_leaves_a_run_per_cell(
     here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
 ) -> None:
-    sweep = ("-m", "hydra.launcher.n_jobs=1", "ablation.k=1,3")
-    assert here(*quick_command, *sweep).status == 0
+    assert here("-m", "hydra.launcher.n_jobs=1", *quick_command, "ablation.k=1,3").status == 0
     tables = [pd.read_csv(path) for path in tmp_path.rglob("results.csv")]
     assert sorted(table["k"].iloc[0] for table in tables) == [1, 3]
 

@@ -144,23 +144,28 @@ def episode(length: int, total_reward: float) -> Episode:
 
 def test_the_first_is_the_nearest_in_length_and_the_others_keep_their_order() -> None:
     episodes = [episode(90, -90), episode(120, -120), episode(105, -105), episode(95, -95)]
-    ordered = put_first(episodes, first_length=106, minimum_return=-200)
+    ordered = put_first(episodes, first_length=106, target_return=-106, margin=50)
     assert [e.length for e in ordered] == [105, 90, 120, 95]
 
 
 def test_the_first_is_good_enough_and_the_best_of_equally_near_ones() -> None:
     episodes = [episode(106, -130), episode(104, -100), episode(108, -90), episode(104, -95)]
-    assert put_first(episodes, 106, minimum_return=-110)[0] is episodes[2]
+    assert put_first(episodes, 106, target_return=-106, margin=20)[0] is episodes[2]
 
 
-def test_without_a_good_enough_one_the_nearest_comes_first() -> None:
+def test_a_poor_expert_is_not_shown_by_its_best_episode() -> None:
+    episodes = [episode(length, -length) for length in (106, 135, 140, 145, 165)]
+    assert put_first(episodes, 106, target_return=-140, margin=4)[0] is episodes[1]
+
+
+def test_without_a_typical_one_the_nearest_comes_first() -> None:
     episodes = [episode(50, -130), episode(106, -140)]
-    assert put_first(episodes, 106, minimum_return=-110)[0] is episodes[1]
+    assert put_first(episodes, 106, target_return=-100, margin=3)[0] is episodes[1]
 
 
 def test_without_a_first_length_the_order_stays() -> None:
     episodes = [episode(9, 0), episode(3, 5)]
-    assert put_first(episodes, None, minimum_return=1) == episodes
+    assert put_first(episodes, None, target_return=5, margin=1) == episodes
 
 
 def test_playing_side_by_side_is_playing_one_after_another(mountaincar: Environment) -> None:

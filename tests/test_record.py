@@ -16,9 +16,8 @@ ALL = np.array([True, True])
 
 def progress(epoch: int, stopped: tuple[bool, bool] = (False, False)) -> Progress:
     """Seed 3 has used 100 steps an epoch, seed 8 has used 200, and 7 of the expert's."""
-    return Progress(
-        epoch, epoch * np.array([100, 200]), epoch * np.array([7, 7]), np.array(stopped)
-    )
+    env_samples, expert_samples = epoch * np.array([100, 200]), epoch * np.array([7, 7])
+    return Progress(epoch, env_samples, expert_samples, 50, np.array(stopped))
 
 
 def parameters(epoch: int) -> torch.Tensor:
@@ -104,6 +103,11 @@ def test_a_stopped_seed_no_longer_changes(record: Record, name: str) -> None:
     record.advance(progress(2, (False, True)), parameters(2))
     assert values()[1] == after_first[1]
     assert values()[0] != after_first[0]
+
+
+def test_samples_before_training_are_kept(record: Record) -> None:
+    record.advance(progress(1), parameters(1))
+    assert record.pre_samples == 50
 
 
 def test_the_epoch_of_the_stop_still_counts(record: Record) -> None:

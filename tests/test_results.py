@@ -13,6 +13,7 @@ ROW = Row(
     run_id="0123456789",
     env="mountaincar",
     method="ril",
+    variant="method.q_learning.loss=mse",
     seed=0,
     k=2.0,
     n=150.0,
@@ -117,6 +118,11 @@ def test_the_same_row_in_two_folders_counts_once(tmp_path: Path) -> None:
 def test_run_ids_stay_text(tmp_path: Path, identifier: str) -> None:
     write_csv(tmp_path / "results.csv", [row(run_id=identifier)])
     assert load_results([tmp_path])["run_id"].tolist() == [identifier]
+
+
+def test_a_row_without_a_variant_is_of_the_method_as_it_comes(tmp_path: Path) -> None:
+    write_csv(tmp_path / "results.csv", [row(variant="")])
+    assert load_results([tmp_path])["variant"].tolist() == [""]
 
 
 def test_columns_of_older_rows_are_filled_up(tmp_path: Path) -> None:

@@ -335,8 +335,13 @@ def test_the_memory_holds_ten_mean_expert_trajectories(make: Any) -> None:
 
 def test_the_random_transitions_are_as_many_as_asked(make: Any) -> None:
     method = make("method.epochs=1")
-    trained(method)
+    [progress] = trained(method)
     assert method.pre.sizes.tolist() == [2 * 60, 2 * 60]  # |A| · pre_steps_per_action
+    assert progress.pre_samples == 2 * 60
+
+
+def test_without_imitation_there_are_no_random_transitions(make: Any) -> None:
+    assert trained(make("method.imitation=false"))[-1].pre_samples == 0
 
 
 def test_environment_samples_are_the_steps_of_the_own_episodes(make: Any) -> None:

@@ -28,6 +28,7 @@ def rows(*cells: dict[str, object]) -> pd.DataFrame:
         "run_id": "a",
         "env": "mountaincar",
         "method": "ril",
+        "variant": "",
         "seed": 0,
         "k": 2.0,
         "n": 150.0,
@@ -64,7 +65,23 @@ def test_the_whole_table() -> None:
     performance = (
         "| P, ours | 1.000 ± 0.000 | 1.005 ± 0.000 | 1.030 ± 0.020 | 1.000 ± 0.082 | 1.009 |\n"
     )
-    assert found == HEAD + ours + PAPER + performance + PAPER_P
+    notes = """
+
+- CartPole was run with 1 of 10 seeds
+- Acrobot was run with 1 of 10 seeds
+- MountainCar was run with 2 of 10 seeds
+- LunarLander was run with 3 of 10 seeds"""
+    assert found == HEAD + ours + PAPER + performance + PAPER_P + notes
+
+
+def test_as_many_seeds_and_epochs_as_the_papers_need_no_note() -> None:
+    found = table2(rows(*({"seed": seed} for seed in range(10))))
+    assert "MountainCar was" not in found
+
+
+def test_fewer_epochs_than_the_papers_are_noted() -> None:
+    found = table2(rows(*({"seed": seed, "epochs": 20} for seed in range(10))))
+    assert "- MountainCar was run with 20 of 150 epochs\n" in found
 
 
 def test_what_is_not_run_names_its_command(tmp_path: Path) -> None:
@@ -86,7 +103,14 @@ def test_what_is_not_run_names_its_command(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"k": 3.0}, {"n": 75.0}, {"trajectories": 25}, {"expert_return": -140.0}, {"method": "bc"}],
+    [
+        {"k": 3.0},
+        {"n": 75.0},
+        {"trajectories": 25},
+        {"expert_return": -140.0},
+        {"method": "bc"},
+        {"variant": "method.episodes=2"},
+    ],
 )
 def test_other_settings_are_left_out(changes: dict[str, object]) -> None:
     assert our_cells(table2(rows(changes))) == ["not run"] * 4
@@ -141,7 +165,16 @@ def test_a_rows_cell_in_the_paper() -> None:
     assert paper_cell(rows({}).iloc[0]) == "-100.29 ± 1.59 (One expert trajectory (Table 2))"
 
 
-@pytest.mark.parametrize("changes", [{"k": 3.0}, {"env": "hill"}, {"expert_return": -140.0}])
+def test_a_shorter_rows_cell_in_the_paper_says_so() -> None:
+    assert paper_cell(rows({"epochs": 20}).iloc[0]) == (
+        "-100.29 ± 1.59 after 150 epochs (One expert trajectory (Table 2))"
+    )
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"k": 3.0}, {"env": "hill"}, {"expert_return": -140.0}, {"variant": "method.episodes=2"}],
+)
 def test_a_row_without_a_cell_in_the_paper(changes: dict[str, object]) -> None:
     assert paper_cell(rows(changes).iloc[0]) is None
 
