@@ -5,29 +5,25 @@ from __future__ import annotations
 import difflib
 import os
 import sys
-from collections.abc import Sequence
-from typing import NoReturn
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, NoReturn
 
 import hydra
 from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from ril.config import Config, RILConfig
+from ril.config import Config, RILConfig, from_hydra, leaves
 from ril.errors import UserError
 from ril.paths import config_folder
 
 _TRACEBACK_WANTED = "HYDRA_FULL_ERROR" in os.environ
 _MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError)
-
-#: Overrides that say which cell it is, how far and where it is run.
-_SAME_CELL = (
-    *("env=", "method=", "ablation=", "ablation.", "seeds=", "method.epochs="),
-    *("output_dir=", "resume=", "device="),
-)
 
 
 def main() -> None:
@@ -40,7 +36,7 @@ def main() -> None:
     except _MISTAKES as error:
         _refuse(error)
     except KeyboardInterrupt:
-        sys.exit("ril-run: stopped; the same command goes on from the last checkpoint")
+        sys.exit("ril-run: stopped")
 
 
 def store_schemas() -> None:
@@ -69,8 +65,6 @@ def _job(composed: DictConfig) -> None:
 def _run(composed: DictConfig) -> None:
     from rich.console import Console
 
-    from ril.config import from_hydra
-
     for key in sorted(OmegaConf.missing_keys(composed)):
         raise UserError(f"{key}: must be given")
     config = from_hydra(composed)
@@ -82,14 +76,33 @@ def _run(composed: DictConfig) -> None:
     alone = HydraConfig.get().mode != RunMode.MULTIRUN
     display = ConsoleDisplay(console, live=alone and console.is_terminal)
     try:
-        run(config, display, _variant(HydraConfig.get().overrides.task))
+        run(config, display, _variant(composed))
+    except KeyboardInterrupt:
+        goes_on = "; the same command goes on from the last checkpoint" if config.resume else ""
+        sys.exit(f"ril-run: stopped{goes_on}")
     finally:
         display.stop()
 
 
-def _variant(overrides: Sequence[str]) -> str:
-    """Those overrides that make a cell another than the method as it comes."""
-    return " ".join(sorted(given for given in overrides if not given.startswith(_SAME_CELL)))
+def _variant(composed: DictConfig) -> str:
+    """What was set apart from the method as it comes on its environment, as key=value."""
+    chosen = HydraConfig.get().runtime.choices
+    in_worker = not GlobalHydra.instance().is_initialized()  # of a sweep, which starts from anew
+    folder = str(config_folder())
+    with hydra.initialize_config_dir(folder, version_base="1.3") if in_worker else nullcontext():
+        usual = hydra.compose("config", [f"{group}={chosen[group]}" for group in ("env", "method")])
+    before, given = _values(usual), _values(composed)
+    if given["demonstrations"] is not None:
+        given["demonstrations"] = Path(given["demonstrations"]).name
+    budget = {"method.epochs"}
+    apart = [key for key in given if key not in budget and given[key] != before.get(key)]
+    return " ".join(f"{key}={given[key]}" for key in apart)
+
+
+def _values(composed: DictConfig) -> dict[str, Any]:
+    """What makes a method what it is, by full key."""
+    groups = OmegaConf.masked_copy(composed, ["env", "method", "evaluation", "demonstrations"])
+    return {key[1:]: value for key, value in leaves(OmegaConf.to_container(groups), "")}
 
 
 def in_one_line(error: Exception) -> str:

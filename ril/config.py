@@ -197,7 +197,7 @@ def from_hydra(composed: DictConfig) -> Config:
         raise UserError(f"{key}: no such key")
 
     for group in ("method", "ablation", "evaluation"):
-        for key, value in _leaves(OmegaConf.to_container(composed[group]), group):
+        for key, value in leaves(OmegaConf.to_container(composed[group]), group):
             _check(key, value)
     return config
 
@@ -212,14 +212,11 @@ def _added(node: Any, parent: str = "") -> Iterator[str]:
             yield from _added(child, f"{parent}{name}.")
 
 
-def _leaves(node: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """All values below a node of the configuration, with their full keys."""
+def leaves(node: Any, key: str) -> Iterator[tuple[str, Any]]:
+    """All values below a node of the configuration, with their full keys; a list is one."""
     if isinstance(node, dict):
         for name, child in node.items():
-            yield from _leaves(child, f"{key}.{name}")
-    elif isinstance(node, list):
-        for child in node:
-            yield from _leaves(child, key)
+            yield from leaves(child, f"{key}.{name}")
     else:
         yield key, node
 
@@ -229,6 +226,9 @@ def _check(key: str, value: Any) -> None:
     name = key.rpartition(".")[2]
     if key in _CHOICES and value not in _CHOICES[key]:
         raise UserError(f"{key}={value}: must be one of {', '.join(_CHOICES[key])}")
+    if isinstance(value, list):
+        for entry in value:
+            _check(key, entry)
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
     low, high = _BOUNDS.get(name, (None, math.inf))

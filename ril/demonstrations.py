@@ -115,7 +115,7 @@ def load_demonstrations(path: Path, environment: Environment) -> Demonstrations:
     if not path.is_file():
         raise refuse("no such file")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: np.asarray(archive[name]) for name in _ARRAYS if name in archive}
     except Exception:  # a damaged file has zipfile, zlib and numpy raise a dozen kinds
         raise refuse("not a readable npz file of plain arrays") from None
@@ -127,7 +127,9 @@ def load_demonstrations(path: Path, environment: Environment) -> Demonstrations:
             raise refuse(f"{name} has {arrays[name].ndim} dimension(s), needs {dimensions}")
         if arrays[name].dtype.kind not in "fiub":
             raise refuse(f"{name} holds {arrays[name].dtype}, needs numbers")
-        if not np.isfinite(arrays[name]).all():
+        with np.errstate(over="ignore"):
+            finite = np.isfinite(arrays[name].astype(np.float32)).all()
+        if not finite:
             raise refuse(f"{name} holds NaN or infinity")
     for name in ("actions", "lengths"):
         if arrays[name].dtype.kind not in "iu":

@@ -46,12 +46,12 @@ class ConsoleDisplay:
         self._started = self._printed = time.monotonic()
         cell = f"env={config.env.name} method={config.method.name}"
         going_on = ", going on from its checkpoint" if (folder / "checkpoint.pt").exists() else ""
-        self._console.print(
-            f"{cell}: {len(config.seeds)} seeds together, {config.method.epochs} epochs{going_on}"
-        )
+        seeds = _count(len(config.seeds), "seed") + (" together" if len(config.seeds) > 1 else "")
+        self._console.print(f"{cell}: {seeds}, {config.method.epochs} epochs{going_on}")
         if self._is_live:
             self._live = Live(console=self._console, transient=True, refresh_per_second=4)
             self._live.start()
+            self._live.update("acting at random, before the first epoch …")
 
     def advanced(self, progress: base.Progress, record: Record) -> None:
         """Show where training stands."""
@@ -73,7 +73,11 @@ class ConsoleDisplay:
             for name, value in facts.items():
                 grid.add_row(name, value)
             self._live.update(Group(self._bar, grid))
-        elif now - self._printed >= _LINE_SECONDS or progress.epoch == total:
+        elif (
+            now - self._printed >= _LINE_SECONDS
+            or progress.epoch == total
+            or progress.stopped.all()
+        ):
             self._printed = now
             text = "  ".join(f"{name} {value}" for name, value in facts.items())
             self._console.print(f"epoch {progress.epoch}/{total}  {text}", soft_wrap=True)
@@ -94,9 +98,7 @@ class ConsoleDisplay:
     def finished(self, rows: Path, *, skipped: bool) -> None:
         """Show the rows, their mean beside the paper's number, and the folder."""
         frame = load_results([rows.parent])
-        table = Table(
-            "seed", "AER", "± episodes", "last", "performance", "samples to best", "epochs"
-        )
+        table = Table("seed", "AER", "± std", "last", "performance", "samples to best", "epochs")
         for column in table.columns:
             column.justify = "right"
         for row in frame.itertuples():
@@ -111,8 +113,10 @@ class ConsoleDisplay:
             )
         self._console.print(table)
         first = frame.iloc[0]
-        spread = f"{frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f} over {len(frame)} seeds"
-        self._console.print(f"AER {spread}, performance {frame.performance.mean():.3f}")
+        spread = f"{frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f}"
+        seeds = _count(len(frame), "seed")
+        performance = f"performance {frame.performance.mean():.3f}"
+        self._console.print(f"AER {spread} over {seeds}, {performance}")
         paper = paper_cell(first)
         if paper is not None:
             self._console.print(f"the paper says {paper}")
@@ -143,6 +147,10 @@ def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
 
 def _mean_and_std(values: NDArray[np.float64]) -> str:
     return f"{values.mean():.1f} ± {values.std():.1f}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _duration(seconds: float) -> str:

@@ -35,10 +35,10 @@ class StoppingRule:
             actions: (S, M) the policy's greedy actions at the expert's states.
             loss: (S,) its cloning loss.
         """
-        same_actions = np.zeros(len(loss), dtype=bool)
+        same_actions, reduced = np.zeros(len(loss), dtype=bool), np.ones(len(loss), dtype=bool)
         if self._actions is not None:
             same_actions = (actions == self._actions).all(axis=1)
-        reduced = loss < self._loss * (1 - self.config.loss_tolerance)
+            reduced = loss < self._loss * (1 - self.config.loss_tolerance)
         self._unchanged = np.where(same_actions | ~reduced, self._unchanged + 1, 0)
         self._actions, self._loss = actions, loss
         if self.config.patience is not None:

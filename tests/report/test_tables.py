@@ -120,8 +120,8 @@ def test_of_several_runs_the_one_with_most_seeds_is_shown_and_named() -> None:
     found = table2(
         rows(
             {"run_id": "few", "aer": -90.0},
-            {"run_id": "many", "seed": 0},
-            {"run_id": "many", "seed": 1},
+            {"run_id": "many", "seed": 0, "epochs": 100},
+            {"run_id": "many", "seed": 1, "epochs": 100},
         )
     )
     assert our_cells(found)[2] == "-105.00 ± 0.00 (2 seeds)"

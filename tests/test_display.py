@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from ril import experiment
+from ril.display import ConsoleDisplay
+from ril.experiment import run
+from ril.methods.base import Progress
+from ril.record import Record
+
+
+def shown(config: Any, folder: Path, *, live: bool) -> str:
+    """What a run writes on a terminal, or into a log file."""
+    config.output_dir = str(folder)
+    written = io.StringIO()
+    console = Console(file=written, force_terminal=live, width=100, highlight=False)
+    display = ConsoleDisplay(console, live=live)
+    try:
+        run(config, display)
+    finally:
+        display.stop()
+    return written.getvalue()
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_run_ends_with_its_mean_and_its_folder(quick: Any, tmp_path: Path, live: bool) -> None:
+    lines = shown(quick(), tmp_path, live=live).splitlines()
+    [path] = tmp_path.rglob("results.csv")
+    rows = pd.read_csv(path)
+    mean, spread = rows["aer"].mean(), rows["aer"].std(ddof=0)
+    assert lines[-1] == str(path.parent)
+    assert any(line.startswith(f"AER {mean:.2f} ± {spread:.2f} over 2 seeds") for line in lines)
+
+
+def test_a_log_has_a_line_for_the_last_epoch(quick: Any, tmp_path: Path) -> None:
+    lines = shown(quick(), tmp_path, live=False).splitlines()
+    assert [line.split()[:2] for line in lines if line.startswith("epoch")] == [["epoch", "3/3"]]
+
+
+def test_a_terminal_shows_the_epoch(quick: Any, tmp_path: Path) -> None:
+    assert "epoch 3 of 3" in shown(quick(), tmp_path, live=True)
+
+
+def test_a_cell_of_the_paper_has_the_papers_number_beside_it(quick: Any, tmp_path: Path) -> None:
+    text = shown(quick("ablation.n=150"), tmp_path, live=False)
+    assert "the paper says 500.00 ± 0.00" in text
+
+
+def test_another_cell_has_none(quick: Any, tmp_path: Path) -> None:
+    assert "the paper says" not in shown(quick("ablation.k=9"), tmp_path, live=False)
+
+
+class Interrupted(ConsoleDisplay):
+    """Ends a run in its third epoch, as Ctrl-C would."""
+
+    def advanced(self, progress: Progress, record: Record) -> None:
+        if progress.epoch == 3:
+            raise KeyboardInterrupt
+
+
+def test_a_run_that_goes_on_says_so(
+    quick: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(experiment, "CHECKPOINT_SECONDS", 0.0)
+    config = quick()
+    config.output_dir = str(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        run(config, Interrupted(Console(file=io.StringIO()), live=False))
+    assert "going on from its checkpoint" in shown(config, tmp_path, live=False).splitlines()[0]
