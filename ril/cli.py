@@ -77,9 +77,8 @@ def _run(composed: DictConfig) -> None:
     display = ConsoleDisplay(console, live=alone and console.is_terminal)
     try:
         run(config, display, _variant(composed))
-    except KeyboardInterrupt:
-        goes_on = "; the same command goes on from the last checkpoint" if config.resume else ""
-        sys.exit(f"ril-run: stopped{goes_on}")
+    except KeyboardInterrupt as stopped:
+        sys.exit(f"ril-run: {stopped or 'stopped'}")
     finally:
         display.stop()
 

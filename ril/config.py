@@ -165,7 +165,7 @@ class Config:
     resume: bool = MISSING
 
 
-#: Keys that cannot change a number.
+#: Keys that cannot change a number; the demonstrations enter by their content.
 _NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations")
 #: Numbers must be above 0, but for these, which lie within bounds (both included).
 _BOUNDS = {

@@ -47,7 +47,9 @@ class ConsoleDisplay:
         cell = f"env={config.env.name} method={config.method.name}"
         going_on = ", going on from its checkpoint" if (folder / "checkpoint.pt").exists() else ""
         seeds = _count(len(config.seeds), "seed") + (" together" if len(config.seeds) > 1 else "")
-        self._console.print(f"{cell}: {seeds}, {config.method.epochs} epochs{going_on}")
+        self._console.print(
+            f"{cell}: {seeds}, {config.method.epochs} epochs{going_on}", soft_wrap=True
+        )
         if self._is_live:
             self._live = Live(console=self._console, transient=True, refresh_per_second=4)
             self._live.start()
@@ -80,7 +82,8 @@ class ConsoleDisplay:
         ):
             self._printed = now
             text = "  ".join(f"{name} {value}" for name, value in facts.items())
-            self._console.print(f"epoch {progress.epoch}/{total}  {text}", soft_wrap=True)
+            cell = f"{self._config.env.name} {self._folder.name}"
+            self._console.print(f"{cell}  epoch {progress.epoch}/{total}  {text}", soft_wrap=True)
 
     def scoring(self) -> None:
         """Say that training is over."""
@@ -98,7 +101,17 @@ class ConsoleDisplay:
     def finished(self, rows: Path, *, skipped: bool) -> None:
         """Show the rows, their mean beside the paper's number, and the folder."""
         frame = load_results([rows.parent])
-        table = Table("seed", "AER", "± std", "last", "performance", "samples to best", "epochs")
+        first = frame.iloc[0]
+        table = Table(
+            "seed",
+            "AER",
+            "± std",
+            "last",
+            "performance",
+            "samples to best",
+            "epochs",
+            title=f"{first.env} {first.method} {first.run_id}",
+        )
         for column in table.columns:
             column.justify = "right"
         for row in frame.itertuples():
@@ -112,7 +125,6 @@ class ConsoleDisplay:
                 str(row.epochs),
             )
         self._console.print(table)
-        first = frame.iloc[0]
         spread = f"{frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f}"
         seeds = _count(len(frame), "seed")
         performance = f"performance {frame.performance.mean():.3f}"

@@ -7,9 +7,14 @@ import importlib
 import io
 import json
 import math
+import signal
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from signal import SIGINT, SIGTERM
 from typing import Any, Protocol
 
 import numpy as np
@@ -62,7 +67,8 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
         per seed.
 
     Raises:
-        UserError: something that was asked for cannot be used; nothing has been written.
+        UserError: something that was asked for cannot be used; no row has been written.
+        KeyboardInterrupt: the user stopped it; its message says how to go on.
     """
     torch.set_num_threads(1)
     if config.method.name not in METHODS:
@@ -78,6 +84,8 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
         config.ablation,
         device,
     )
+    module, name = METHODS[config.method.name].split(":")
+    method: Method = getattr(importlib.import_module(module), name)(config.method, task)
     identifier = run_id(config, demonstrations.sha256)
     folder = Path(config.output_dir) / config.env.name / config.method.name / identifier
     folder = _claim(folder, resume=config.resume)
@@ -86,12 +94,10 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
         return folder
 
     details = {"run_id": identifier, **provenance(path, demonstrations.sha256)}
-    write_atomically(folder / "provenance.json", json.dumps(details, indent=2).encode())
+    details = _keep_start(folder / "provenance.json", details)
     settings = yaml.safe_dump(dataclasses.asdict(config), sort_keys=False, allow_unicode=True)
     write_atomically(folder / "config.yaml", settings.encode())
 
-    module, name = METHODS[config.method.name].split(":")
-    method: Method = getattr(importlib.import_module(module), name)(config.method, task)
     cell = _Cell(
         config,
         environment,
@@ -135,24 +141,51 @@ def _train(cell: _Cell, display: Display) -> float:
     seconds = _load_checkpoint(checkpoint, method, record)
     expert_actions = cell.demonstrations.first(cell.config.ablation.trajectories).actions
     started = saved = time.monotonic()
-    for progress in method.train():
-        live = ~record.stopped
-        just_stopped = record.advance(progress, method.policy.flat)
-        last = progress.epoch == cell.config.method.epochs
-        # A stop is looked at for its own seed only: the others' looks are not to depend on it.
-        looked_at = live if last or progress.epoch % settings.every == 0 else just_stopped
-        if looked_at.any():
-            metrics = dict(progress.metrics)
-            if progress.pseudo_labels is not None:
-                metrics["label_accuracy"] = (progress.pseudo_labels == expert_actions).mean(axis=1)
-            purpose = f"after epoch {progress.epoch}"
-            returns = cell.evaluation.returns(method.act, settings.selection_episodes, purpose)
-            record.evaluated(returns.mean(axis=1), looked_at, metrics)
-        display.advanced(progress, record)
-        if time.monotonic() - saved > CHECKPOINT_SECONDS:
-            saved = time.monotonic()
-            _save_checkpoint(checkpoint, method, record, seconds + saved - started)
+    with _stop_between_epochs() as stop:
+        for progress in method.train():
+            live = ~record.stopped
+            just_stopped = record.advance(progress, method.policy.flat)
+            last = progress.epoch == cell.config.method.epochs
+            # A stop is looked at for its own seed only: the others' looks are not to depend on it.
+            looked_at = live if last or progress.epoch % settings.every == 0 else just_stopped
+            if looked_at.any():
+                metrics = dict(progress.metrics)
+                if progress.pseudo_labels is not None:
+                    metrics["label_accuracy"] = (progress.pseudo_labels == expert_actions).mean(
+                        axis=1
+                    )
+                purpose = f"after epoch {progress.epoch}"
+                returns = cell.evaluation.returns(method.act, settings.selection_episodes, purpose)
+                record.evaluated(returns.mean(axis=1), looked_at, metrics)
+            display.advanced(progress, record)
+            if stop.is_set() or time.monotonic() - saved > CHECKPOINT_SECONDS:
+                saved = time.monotonic()
+                _save_checkpoint(checkpoint, method, record, seconds + saved - started)
+            if stop.is_set():
+                goes_on = "; the same command goes on from there" if cell.config.resume else ""
+                raise KeyboardInterrupt(f"stopped after epoch {progress.epoch}{goes_on}")
     return seconds + time.monotonic() - started
+
+
+@contextmanager
+def _stop_between_epochs() -> Iterator[threading.Event]:
+    """Have Ctrl-C and SIGTERM wait for the end of the epoch; a second one does not wait."""
+    stop = threading.Event()
+
+    def on_signal(*_: object) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt("stopped at once")
+        stop.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield stop  # signals are not ours to handle
+        return
+    before = {number: signal.signal(number, on_signal) for number in (SIGINT, SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _save_checkpoint(checkpoint: Path, method: Method, record: Record, seconds: float) -> None:
@@ -232,6 +265,8 @@ def _device(name: str) -> torch.device:
         torch.zeros(1, device=device).item()
     except (RuntimeError, AssertionError):
         raise UserError(f"device={name}: torch cannot use it here") from None
+    if device.type not in ("cpu", "cuda"):
+        raise UserError(f"device={name}: must be cpu or cuda")
     return device
 
 
@@ -247,6 +282,16 @@ def _demonstrations_path(config: Config) -> Path:
         shipped = ", ".join(sorted(file.stem for file in path.parent.glob("*.npz")))
         raise UserError(f"{key}: none ship for {name} (only {shipped}); give demonstrations=PATH")
     return path
+
+
+def _keep_start(path: Path, details: dict[str, Any]) -> dict[str, Any]:
+    """Write the provenance; of a run that goes on, the first start's, with a list of the later."""
+    if path.exists():
+        first: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        again = {key: details[key] for key in ("command", "started", "commit")}
+        details = first | {"resumed": [*first.get("resumed", []), again]}
+    write_atomically(path, json.dumps(details, indent=2).encode())
+    return details
 
 
 def _claim(folder: Path, *, resume: bool) -> Path:

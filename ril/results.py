@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from ril.errors import UserError
+
 
 @dataclass(frozen=True)
 class Row:
@@ -30,9 +32,9 @@ class Row:
         aer_std: standard deviation of these episodes' returns.
         aer_last: the same mean for the last policy.
         performance: (aer − random) / (expert − random) (§4).
-        env_samples: environment steps learnt from by Q-learning (§5.2.2).
+        env_samples: steps of the policy's own training episodes (§5.2.2).
         expert_samples: expert transitions learnt from, counted once per epoch (§5.2.2).
-        pre_samples: random steps of I^pre, which the paper does not count.
+        pre_samples: transitions of I^pre, which the paper does not count.
         samples_to_best: env_samples + expert_samples at the best policy's epoch.
         random_return: mean return of random actions, measured.
         expert_return_measured: mean return of all the expert's demonstrations.
@@ -119,13 +121,25 @@ def write_csv(path: Path, lines: Sequence[Row] | Sequence[CurvePoint]) -> None:
 
 
 def load_results(folders: Sequence[Path]) -> pd.DataFrame:
-    """All rows of all `results.csv` below some folders; the empty frame if there are none."""
-    files = sorted({file for folder in folders for file in folder.rglob("results.csv")})
+    """All rows of all `results.csv` below some folders; the empty frame if there are none.
+
+    Of a cell that was run again, the newest rows.
+
+    Raises:
+        UserError: a file does not hold rows.
+    """
+    files = {file for folder in folders for file in folder.rglob("results.csv")}
     columns = list(Row.__dataclass_fields__)
-    # Hashes that happen to look like numbers (12345e6789) stay text.
-    frames = [pd.read_csv(file, dtype={"run_id": str, "commit": str}) for file in files]
+    frames = []
+    for file in sorted(files, key=lambda file: (file.stat().st_mtime_ns, file)):
+        try:  # hashes that happen to look like numbers (12345e6789) stay text
+            frames.append(pd.read_csv(file, dtype={"run_id": str, "commit": str}))
+        except (ValueError, UnicodeDecodeError):
+            raise UserError(f"{file}: cannot be read as rows") from None
+        if not {"run_id", "seed", "aer"} <= set(frames[-1].columns):
+            raise UserError(f"{file}: holds no rows of ril")
     if not frames:
         return pd.DataFrame(columns=columns)
     rows = pd.concat([frame.reindex(columns=columns) for frame in frames], ignore_index=True)
     rows["variant"] = rows["variant"].astype(object).fillna("")
-    return rows.drop_duplicates(["run_id", "seed"], ignore_index=True)
+    return rows.drop_duplicates(["run_id", "seed"], keep="last", ignore_index=True)

@@ -43,7 +43,7 @@ class Progress:
         epoch: epochs done, from 1.
         env_samples: (S,) environment steps learnt from so far (§5.2.2).
         expert_samples: (S,) expert transitions learnt from so far, counted once per epoch.
-        pre_samples: random steps taken before training, per seed.
+        pre_samples: random transitions kept for training before it began, per seed.
         stopped: (S,) seeds whose training ended by the stopping rule at this epoch or before.
         metrics: named diagnostics, each (S,).
         pseudo_labels: (S, M) actions given to the expert's transitions; None without.
@@ -67,7 +67,7 @@ class Method(Protocol):
         """Learn, yielding after each epoch; a loaded state goes on with the next one."""
 
     def act(self, observations: Floats) -> NDArray[np.int64]:
-        """Greedy actions: (S, N, obs) scaled observations to (S, N)."""
+        """Greedy actions: (S·N, obs) scaled observations, one seed's side by side, to (S·N,)."""
 
     def state_dict(self) -> dict[str, Any]:
         """All that the next epoch depends on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.config import RILConfig
+from ril.config import GoalConfig, RILConfig
 from ril.environments import Floats, reaches_goal
+from ril.errors import UserError
 from ril.learners.cloning import Cloning, exploration_ratio
 from ril.learners.goal_sampler import Selection, positive_limit, select
 from ril.learners.inverse_dynamics import InverseDynamics
@@ -35,6 +37,13 @@ class RIL:
     """
 
     def __init__(self, config: RILConfig, task: Task) -> None:
+        if not (config.imitation or config.reinforcement):
+            raise UserError(
+                "method.imitation=false method.reinforcement=false: nothing would learn"
+            )
+        if task.environment.config.goal == GoalConfig():
+            conditions = ", ".join(field.name for field in fields(GoalConfig))
+            raise UserError(f"env.goal: says of no episode that it succeeds; give {conditions}")
         self.config = config
         self.task = task
         environment, seeds = task.environment, task.seeds
@@ -123,10 +132,11 @@ class RIL:
                 losses.append(_numpy(self.q_learning.train(self.config.q_learning.updates)))  # 13
             returns.append(episodes.returns)
             goals.append(goal)
-            accuracies.append(self._inverse_dynamics_accuracy(episodes))
+            if self.config.imitation:
+                accuracies.append(self._inverse_dynamics_accuracy(episodes))
         self.positive_share = np.mean(goals, axis=0)
         metrics = {"training_return": np.mean(returns, axis=0), "goals": self.positive_share}
-        if self.config.imitation:
+        if accuracies:
             metrics["inverse_dynamics_accuracy"] = np.mean(accuracies, axis=0)
         if losses:
             metrics["td_loss"] = np.mean(losses, axis=0)

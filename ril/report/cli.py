@@ -26,10 +26,14 @@ def main() -> None:
     if missing and arguments.outputs != parser.get_default("outputs"):
         sys.exit(f"ril-report: --outputs {', '.join(missing)}: no such folder")
 
+    from ril.errors import UserError
     from ril.report.tables import table2
     from ril.results import load_results
 
-    print(table2(load_results(arguments.outputs)))
+    try:
+        print(table2(load_results(arguments.outputs)))
+    except UserError as error:
+        sys.exit(f"ril-report: {error}")
 
 
 if __name__ == "__main__":
