@@ -21,6 +21,7 @@ from hydra.core.global_hydra import GlobalHydra
 from ril.cli import main
 from ril.environments import Environment
 from ril.evaluation import Evaluation
+from ril.paths import config_folder
 from ril.policy import load_policy
 from ril.results import CurvePoint, Row, load_results
 
@@ -129,6 +130,27 @@ MISTAKES = {
     "resume=maybe": "resume: ",
     "nope": "nope: cannot be read as key=value",
 }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        (("method.imitation=false", "method.reinforcement=false"), "nothing would learn"),
+        (("env.goal.terminated=null",), "env.goal: "),
+    ],
+)
+def test_a_run_that_makes_no_sense_is_refused(
+    here: Callable[..., Ended], tmp_path: Path, arguments: tuple[str, ...], names: str
+) -> None:
+    assert_one_line(here(*arguments), names, tmp_path)
+
+
+def test_help_names_every_choice(here: Callable[..., Ended]) -> None:
+    choices = here("--help").output.partition("Keys and their values")[0]
+    for group in ("env", "method", "fidelity"):
+        [line] = [line for line in choices.splitlines() if line.strip().startswith(f"{group}= ")]
+        for file in (config_folder() / group).glob("*.yaml"):
+            assert file.stem in line
 
 
 @pytest.mark.parametrize("argument", MISTAKES)

@@ -40,7 +40,9 @@ def test_a_run_ends_with_its_mean_and_its_folder(quick: Any, tmp_path: Path, liv
 
 def test_a_log_has_a_line_for_the_last_epoch(quick: Any, tmp_path: Path) -> None:
     lines = shown(quick(), tmp_path, live=False).splitlines()
-    assert [line.split()[2:4] for line in lines if "epoch" in line.split()[2:3]] == [["epoch", "3/3"]]
+    assert [line.split()[2:4] for line in lines if "epoch" in line.split()[2:3]] == [
+        ["epoch", "3/3"]
+    ]
 
 
 def test_a_terminal_shows_the_epoch(quick: Any, tmp_path: Path) -> None:

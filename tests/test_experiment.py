@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -330,6 +331,40 @@ def test_a_run_that_went_on_leaves_what_an_uninterrupted_one_does(
     resumed = quick_run(*LONGER, *overrides, folder=tmp_path)
     assert same(resumed, quick_run(*LONGER, *overrides))
     assert not (resumed / "checkpoint.pt").exists()
+
+
+def test_the_provenance_of_a_run_that_went_on_is_its_first_starts(
+    quick_run: QuickRun, interrupted: Path, tmp_path: Path
+) -> None:
+    first = json.loads((interrupted / "provenance.json").read_text())
+    quick_run(*LONGER, folder=tmp_path)
+    after = json.loads((interrupted / "provenance.json").read_text())
+    assert [set(again) for again in after.pop("resumed")] == [{"command", "started", "commit"}]
+    assert after == first
+
+
+class Signal(Silence):
+    """Sends this process a signal in its second epoch."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def advanced(self, progress: Progress, record: Record) -> None:
+        if progress.epoch == 2:
+            signal.raise_signal(self.number)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_after_the_epoch_and_nothing_is_lost(
+    quick_run: QuickRun, tmp_path: Path, number: int
+) -> None:
+    handler = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt, match="stopped after epoch 2; the same command goes on"):
+        quick_run(*LONGER, folder=tmp_path, display=Signal(number))
+    assert signal.getsignal(number) is handler
+    epochs = Epochs()
+    assert same(quick_run(*LONGER, folder=tmp_path, display=epochs), quick_run(*LONGER))
+    assert epochs.seen == [3, 4, 5, 6]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])

@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from ril.errors import UserError
 from ril.results import CurvePoint, Row, load_results, write_atomically, write_csv
 
 ROW = Row(
@@ -130,3 +131,18 @@ def test_columns_of_older_rows_are_filled_up(tmp_path: Path) -> None:
     found = load_results([tmp_path])
     assert found.columns.tolist() == [field.name for field in dataclasses.fields(Row)]
     assert found["aer"].tolist() == [-100.5]
+
+
+def test_of_a_cell_run_twice_the_newest_rows_count(tmp_path: Path) -> None:
+    for folder, aer, written in (("a", -100.0, 2_000), ("a-2", -90.0, 1_000)):
+        (tmp_path / folder).mkdir()
+        write_csv(tmp_path / folder / "results.csv", [row(aer=aer)])
+        os.utime(tmp_path / folder / "results.csv", (written, written))
+    assert load_results([tmp_path])["aer"].tolist() == [-100.0]
+
+
+@pytest.mark.parametrize("content", [b"", b"what,ever\n1,2\n", b"\xff\xfe\x00"])
+def test_a_file_without_rows_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "results.csv").write_bytes(content)
+    with pytest.raises(UserError, match=r"results\.csv: "):
+        load_results([tmp_path])

@@ -13,7 +13,7 @@ from ril.vectorized.replay import Batch, Replay
 
 
 def positive_limit(epoch: float, n: float, k: float) -> float:
-    """Equation 2: the largest share of I^s that may come from I^pos.
+    """Equation 2: the upper limit on how much of I^pos enters I^s (docs/deviations.md, D12).
 
     1 − 1 / (1 + (n/e − 1)^(−k)), which is 0/0 or complex outside 0 < e < n. There it is
     continued as its limits: 0 at e = 0, and 1 from e = n on.
