@@ -7,14 +7,9 @@ import importlib
 import io
 import json
 import math
-import signal
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from signal import SIGINT, SIGTERM
 from typing import Any, Protocol
 
 import numpy as np
@@ -27,6 +22,7 @@ from ril.demonstrations import Demonstrations, load_demonstrations, shipped_path
 from ril.environments import Environment, load_environment
 from ril.errors import UserError
 from ril.evaluation import Evaluation, random_returns
+from ril.interrupts import stop_between_epochs
 from ril.methods.base import Method, Progress, Task
 from ril.policy import save_policies
 from ril.provenance import provenance
@@ -141,7 +137,7 @@ def _train(cell: _Cell, display: Display) -> float:
     seconds = _load_checkpoint(checkpoint, method, record)
     expert_actions = cell.demonstrations.first(cell.config.ablation.trajectories).actions
     started = saved = time.monotonic()
-    with _stop_between_epochs() as stop:
+    with stop_between_epochs() as stop:
         for progress in method.train():
             live = ~record.stopped
             just_stopped = record.advance(progress, method.policy.flat)
@@ -165,27 +161,6 @@ def _train(cell: _Cell, display: Display) -> float:
                 goes_on = "; the same command goes on from there" if cell.config.resume else ""
                 raise KeyboardInterrupt(f"stopped after epoch {progress.epoch}{goes_on}")
     return seconds + time.monotonic() - started
-
-
-@contextmanager
-def _stop_between_epochs() -> Iterator[threading.Event]:
-    """Have Ctrl-C and SIGTERM wait for the end of the epoch; a second one does not wait."""
-    stop = threading.Event()
-
-    def on_signal(*_: object) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt("stopped at once")
-        stop.set()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield stop  # signals are not ours to handle
-        return
-    before = {number: signal.signal(number, on_signal) for number in (SIGINT, SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _save_checkpoint(checkpoint: Path, method: Method, record: Record, seconds: float) -> None:

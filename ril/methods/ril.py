@@ -103,9 +103,12 @@ class RIL:
                 metrics["cloning_loss"] = _numpy(  # line 9
                     self.cloning.train(self.expert_states, labels)
                 )
-            epsilon = metrics["epsilon"] = self._epsilon()
+            with torch.no_grad():
+                logits = self.policy(self._for_all_seeds(self.expert_states))
+            epsilon = metrics["epsilon"] = self._epsilon(logits)
             if self.config.imitation:
-                self.stopping.update(self._expert_actions(), metrics["cloning_loss"])
+                actions = logits.argmax(dim=-1).cpu().numpy()
+                self.stopping.update(actions, metrics["cloning_loss"])
             metrics |= self._solve_environments(epsilon)  # lines 10–13
             yield Progress(
                 self.epoch,
@@ -182,20 +185,12 @@ class RIL:
 
         return self.environments.play(act, self._streams["resets"].integers(2**31))
 
-    def _epsilon(self) -> NDArray[np.float64]:
+    def _epsilon(self, logits: Tensor) -> NDArray[np.float64]:
         """(S,) ε: the policy's own exploration ratio on the expert's states (§3.4), or fixed."""
         if self.config.exploration.epsilon is not None:
             return np.full(len(self.task.seeds), self.config.exploration.epsilon)
-        with torch.no_grad():
-            logits = self.policy(self._for_all_seeds(self.expert_states))
-        samples = len(self.expert_states)
-        return exploration_ratio(logits, self._streams["exploration ratio"].uniform(samples))
-
-    def _expert_actions(self) -> Integers:
-        """(S, M) what the policy would do in the expert's states."""
-        with torch.no_grad():
-            logits = self.policy(self._for_all_seeds(self.expert_states))
-        return logits.argmax(dim=-1).cpu().numpy()
+        uniform = self._streams["exploration ratio"].uniform(len(self.expert_states))
+        return exploration_ratio(logits, uniform)
 
     def _reaches_goal(self, episodes: Episodes) -> NDArray[np.bool_]:
         """(S,) whether each seed's episode reached the environment's goal."""
