@@ -5,11 +5,20 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import NoReturn
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the arguments."""
+        sys.exit(f"ril-report: {message}")
 
 
 def main() -> None:
     """The console command."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="ril-report", description="Show the rows on disk beside the paper's numbers."
     )
     parser.add_argument("table", choices=["table2"], help="which of the paper's tables")

@@ -208,3 +208,20 @@ def test_the_command_needs_no_runs_yet(
     monkeypatch.chdir(tmp_path)
     report(monkeypatch, "table2")
     assert capsys.readouterr().out.count("is not run: `ril-run env=") == 4
+
+
+def test_a_table_that_is_not_there_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match=r"^ril-report: argument table: invalid choice[^\n]*$"):
+        report(monkeypatch, "table10")
+    assert capsys.readouterr().err == ""
+
+
+def test_rows_of_tuning_seeds_are_not_reported() -> None:
+    assert our_cells(table2(rows({"seed": 100})))[2] == "not run"
+
+
+def test_runs_that_set_keys_of_their_own_are_counted() -> None:
+    found = table2(rows({"variant": "method.episodes=2"}))
+    assert "- MountainCar: left out, since they set keys of their own: 1 runs\n" in found
