@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import gymnasium as gym
 import numpy as np
@@ -40,8 +41,13 @@ class Environment:
 
     def scale(self, observations: NDArray[np.floating]) -> Floats:
         """Raw observations (..., observation_size) to about [−1, 1] (docs/deviations.md, D5)."""
-        center, half = (self.high + self.low) / 2, (self.high - self.low) / 2
+        center, half = self._center_and_half
         return ((observations - center) / half).astype(np.float32)
+
+    @cached_property
+    def _center_and_half(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """What is scaled to 0, and how far from it 1 lies; `scale` is called at every step."""
+        return (self.high + self.low) / 2, (self.high - self.low) / 2
 
 
 def load_environment(config: EnvironmentConfig) -> Environment:

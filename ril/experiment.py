@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-import io
 import json
 import math
 import time
@@ -22,12 +21,13 @@ from ril.demonstrations import Demonstrations, load_demonstrations, shipped_path
 from ril.environments import Environment, load_environment
 from ril.errors import UserError
 from ril.evaluation import Evaluation, random_returns
+from ril.files import write_atomically, write_tensors
 from ril.interrupts import stop_between_epochs
 from ril.methods.base import Method, Progress, Task
 from ril.policy import save_policies
 from ril.provenance import provenance
 from ril.record import Record
-from ril.results import Row, write_atomically, write_csv
+from ril.results import Row, write_csv
 
 #: Where each method lives; imported only when it runs.
 METHODS = {"ril": "ril.methods.ril:RIL"}
@@ -73,6 +73,12 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     device = _device(config.device)
     path = _demonstrations_path(config)
     demonstrations = load_demonstrations(path, environment)
+    identifier = run_id(config, demonstrations.sha256)
+    folder = Path(config.output_dir) / config.env.name / config.method.name / identifier
+    if config.resume and (folder / "results.csv").exists():
+        display.finished(folder / "results.csv", skipped=True)
+        return folder
+
     task = Task(
         environment,
         demonstrations.first(config.ablation.trajectories).states(environment),
@@ -82,13 +88,7 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     )
     module, name = METHODS[config.method.name].split(":")
     method: Method = getattr(importlib.import_module(module), name)(config.method, task)
-    identifier = run_id(config, demonstrations.sha256)
-    folder = Path(config.output_dir) / config.env.name / config.method.name / identifier
     folder = _claim(folder, resume=config.resume)
-    if (folder / "results.csv").exists():
-        display.finished(folder / "results.csv", skipped=True)
-        return folder
-
     details = {"run_id": identifier, **provenance(path, demonstrations.sha256)}
     details = _keep_start(folder / "provenance.json", details)
     settings = yaml.safe_dump(dataclasses.asdict(config), sort_keys=False, allow_unicode=True)
@@ -166,9 +166,7 @@ def _train(cell: _Cell, display: Display) -> float:
 def _save_checkpoint(checkpoint: Path, method: Method, record: Record, seconds: float) -> None:
     """Write all that the rest of the run depends on."""
     state = {"seconds": seconds, "method": method.state_dict(), "record": record.state_dict()}
-    buffer = io.BytesIO()
-    torch.save(state, buffer)
-    write_atomically(checkpoint, buffer.getvalue())
+    write_tensors(checkpoint, state)
 
 
 def _load_checkpoint(checkpoint: Path, method: Method, record: Record) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,8 +13,8 @@ from torch import Tensor
 
 from ril.environments import Environment, Floats
 from ril.errors import UserError
+from ril.files import write_tensors
 from ril.record import Record
-from ril.results import write_atomically
 from ril.vectorized.networks import Architecture, Network
 
 
@@ -64,9 +63,7 @@ def save_policies(
         "best": record.best.cpu(),
         "last": record.last.cpu(),
     }
-    buffer = io.BytesIO()
-    torch.save(content, buffer)
-    write_atomically(path, buffer.getvalue())
+    write_tensors(path, content)
 
 
 def load_policy(path: str | Path, seed: int, which: str = "best") -> Policy:

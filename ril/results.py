@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from ril.errors import UserError
+from ril.files import write_atomically
 
 
 @dataclass(frozen=True)
@@ -99,19 +99,6 @@ class CurvePoint:
     cloning_loss: float | None = None
     td_loss: float | None = None
     goals: float | None = None
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that a reader sees all of it or none, whatever happens meanwhile."""
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with aside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def write_csv(path: Path, lines: Sequence[Row] | Sequence[CurvePoint]) -> None:

@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from ril.errors import UserError
-from ril.results import CurvePoint, Row, load_results, write_atomically, write_csv
+from ril.files import write_atomically
+from ril.results import CurvePoint, Row, load_results, write_csv
 
 ROW = Row(
     run_id="0123456789",
