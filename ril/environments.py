@@ -42,7 +42,8 @@ class Environment:
     def scale(self, observations: NDArray[np.floating]) -> Floats:
         """Raw observations (..., observation_size) to about [−1, 1] (docs/deviations.md, D5)."""
         center, half = self._center_and_half
-        return ((observations - center) / half).astype(np.float32)
+        scaled: Floats = ((observations - center) / half).astype(np.float32)
+        return scaled
 
     @cached_property
     def _center_and_half(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
