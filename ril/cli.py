@@ -18,9 +18,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from ril.config import Config, RILConfig, from_hydra, leaves
+from ril.config import from_hydra, leaves
 from ril.errors import UserError
 from ril.paths import config_folder
+from ril.schema import METHOD_CONFIGS, Config
 
 _TRACEBACK_WANTED = "HYDRA_FULL_ERROR" in os.environ
 _MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError)
@@ -43,7 +44,8 @@ def store_schemas() -> None:
     """Tell Hydra which keys and types the files of `conf/` may have."""
     store = ConfigStore.instance()
     store.store(name="schema", node=Config)
-    store.store(group="schema/method", name="ril", node=RILConfig)
+    for name, schema in METHOD_CONFIGS.items():
+        store.store(group="schema/method", name=name, node=schema)
 
 
 def _refuse(error: Exception) -> NoReturn:
@@ -93,7 +95,7 @@ def _variant(composed: DictConfig) -> str:
     before, given = _values(usual), _values(composed)
     if given["demonstrations"] is not None:
         given["demonstrations"] = Path(given["demonstrations"]).name
-    budget = {"method.epochs"}
+    budget = {"method.epochs", "method.total_timesteps"}
     apart = [key for key in given if key not in budget and given[key] != before.get(key)]
     return " ".join(f"{key}={given[key]}" for key in apart)
 

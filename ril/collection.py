@@ -1,14 +1,15 @@
-"""Episodes of one policy: played side by side, put in order, packed as demonstrations."""
+"""Episodes of one policy: played side by side, put in order, written as demonstrations."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.demonstrations import Demonstrations
 from ril.environments import Environment, Floats
 
 Policy = Callable[[Floats], NDArray[np.integer]]  # (N, obs) raw observations -> (N,) actions
@@ -95,12 +96,18 @@ def put_first(
     return [first, *(episode for episode in episodes if episode is not first)]
 
 
-def pack(episodes: Sequence[Episode]) -> Demonstrations:
-    """The episodes, one after another, as one file of demonstrations holds them."""
-    return Demonstrations(
-        np.concatenate([e.observations for e in episodes]),
-        np.concatenate([e.actions for e in episodes]),
-        np.concatenate([e.rewards for e in episodes]),
-        np.array([e.length for e in episodes], dtype=np.int64),
-        np.array([e.terminated for e in episodes]),
-    )
+def pack(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
+    """The episodes, one after another, as the arrays of ril's own layout of demonstrations."""
+    return {
+        "observations": np.concatenate([e.observations for e in episodes]),
+        "actions": np.concatenate([e.actions for e in episodes]),
+        "rewards": np.concatenate([e.rewards for e in episodes]),
+        "lengths": np.array([e.length for e in episodes], dtype=np.int64),
+        "terminated": np.array([e.terminated for e in episodes]),
+    }
+
+
+def save(path: Path, episodes: Sequence[Episode]) -> None:
+    """Write the episodes as a compressed npz file of demonstrations."""
+    arrays: dict[str, Any] = pack(episodes)
+    np.savez_compressed(path, allow_pickle=False, **arrays)

@@ -1,4 +1,4 @@
-"""What a run is asked to do: one dataclass per group of `conf/`, which holds all the values."""
+"""From Hydra's configuration to a checked `Config`, and what identifies it."""
 
 from __future__ import annotations
 
@@ -7,163 +7,12 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import Any, cast
 
-from omegaconf import MISSING, DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from ril.errors import UserError
-
-
-@dataclass
-class GoalConfig:
-    """When an episode counts as having reached the goal; every condition that is set must hold."""
-
-    minimum_return: float | None = None
-    minimum_final_reward: float | None = None
-    terminated: bool | None = None
-
-
-@dataclass
-class EnvironmentConfig:
-    """`conf/env/*.yaml`: a Gymnasium environment."""
-
-    name: str = MISSING
-    id: str = MISSING
-    solved_return: float | None = None
-    goal: GoalConfig = field(default_factory=GoalConfig)
-    observation_low: list[float] | None = None
-    observation_high: list[float] | None = None
-    kwargs: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass
-class NetworkConfig:
-    """The topology that policy and inverse dynamics model share (§4.1)."""
-
-    hidden: list[int] = MISSING
-    attention: bool = MISSING
-    layer_norm: bool = MISSING
-    negative_slope: float = MISSING
-
-
-@dataclass
-class InverseDynamicsConfig:
-    """M_θ and its training (Alg. 1, line 7)."""
-
-    inputs: str = MISSING
-    standardise: bool = MISSING
-    learning_rate: float = MISSING
-    updates: int = MISSING
-    batch_size: int = MISSING
-    gradient_clip: float | None = MISSING
-
-
-@dataclass
-class CloningConfig:
-    """π_φ's imitation half (Alg. 1, line 9)."""
-
-    learning_rate: float = MISSING
-    updates: int = MISSING
-    batch_size: int = MISSING
-    gradient_clip: float | None = MISSING
-
-
-@dataclass
-class QLearningConfig:
-    """π_φ's reinforcement half (Alg. 1, line 13; eq. 1)."""
-
-    learning_rate: float = MISSING
-    updates: int = MISSING
-    batch_size: int = MISSING
-    gradient_clip: float | None = MISSING
-    discount: float = MISSING
-    loss: str = MISSING
-    target_interval: int = MISSING
-    replay_trajectories: float = MISSING
-
-
-@dataclass
-class ExplorationConfig:
-    """ε and what exploring means (§3.4)."""
-
-    epsilon: float | None = MISSING
-    kind: str = MISSING
-
-
-@dataclass
-class GoalSamplerConfig:
-    """Line 14: where I^s comes from."""
-
-    pre_steps_per_action: int = MISSING
-    memory: str = MISSING
-
-
-@dataclass
-class StoppingConfig:
-    """How long π_φ counts as improving (Alg. 1, line 6; §3.4, step vii)."""
-
-    patience: int | None = MISSING
-    loss_tolerance: float = MISSING
-
-
-@dataclass
-class MethodConfig:
-    """What every method has."""
-
-    name: str = MISSING
-    epochs: int = MISSING
-
-
-@dataclass
-class RILConfig(MethodConfig):
-    """`conf/method/ril.yaml`: Reinforced Imitation Learning."""
-
-    imitation: bool = MISSING
-    reinforcement: bool = MISSING
-    episodes: int = MISSING
-    network: NetworkConfig = field(default_factory=NetworkConfig)
-    inverse_dynamics: InverseDynamicsConfig = field(default_factory=InverseDynamicsConfig)
-    cloning: CloningConfig = field(default_factory=CloningConfig)
-    q_learning: QLearningConfig = field(default_factory=QLearningConfig)
-    exploration: ExplorationConfig = field(default_factory=ExplorationConfig)
-    goal_sampler: GoalSamplerConfig = field(default_factory=GoalSamplerConfig)
-    stopping: StoppingConfig = field(default_factory=StoppingConfig)
-
-
-@dataclass
-class AblationConfig:
-    """What the paper varies (§6.3, §6.4, §7)."""
-
-    k: float = MISSING
-    n: float = MISSING
-    trajectories: int = MISSING
-    expert_return: float | None = None
-
-
-@dataclass
-class EvaluationConfig:
-    """How a policy is scored."""
-
-    episodes: int = MISSING
-    every: int = MISSING
-    selection_episodes: int = MISSING
-
-
-@dataclass
-class Config:
-    """One run: one cell of one table."""
-
-    env: EnvironmentConfig = field(default_factory=EnvironmentConfig)
-    method: MethodConfig = field(default_factory=MethodConfig)
-    ablation: AblationConfig = field(default_factory=AblationConfig)
-    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    seeds: Any = MISSING
-    demonstrations: str | None = None
-    output_dir: str = MISSING
-    device: str = MISSING
-    resume: bool = MISSING
-
+from ril.schema import Config, RILConfig
 
 #: Keys that cannot change a number; the demonstrations enter by their content.
 _NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations")
@@ -171,6 +20,10 @@ _NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations")
 _BOUNDS = {
     "epsilon": (0, 1),
     "discount": (0, 1),
+    "beta1": (0, 1),
+    "gamma": (0, 1),
+    "gae_lambda": (0, 1),
+    "ent_coef": (0, math.inf),
     "target_interval": (0, math.inf),
     "loss_tolerance": (0, math.inf),
     "negative_slope": (0, math.inf),
@@ -180,8 +33,11 @@ _BOUNDS = {
 _CHOICES = {
     "method.exploration.kind": ("softmax", "uniform"),
     "method.inverse_dynamics.inputs": ("states", "change"),
+    "method.inverse_dynamics.labels": ("argmax", "sample"),
     "method.q_learning.loss": ("huber", "mse"),
     "method.goal_sampler.memory": ("run", "epoch"),
+    "method.latent_policy.changes": ("raw", "scaled", "standardised"),
+    "method.discriminator.reward": ("positive", "negative"),
 }
 
 
@@ -254,11 +110,18 @@ def _seeds(given: Any) -> list[int]:
     return seeds
 
 
+def uses_equation_2(config: Config) -> bool:
+    """Whether `ablation.k` and `ablation.n` can change the method's numbers."""
+    return isinstance(config.method, RILConfig)
+
+
 def run_id(config: Config, demonstrations_sha256: str) -> str:
     """Ten hexadecimal digits made of all that can change the numbers, and of nothing else."""
     content = dataclasses.asdict(config)
     for key in _NOT_IN_RUN_ID:
         del content[key]
     content["demonstrations"] = demonstrations_sha256
+    if not uses_equation_2(config):
+        del content["ablation"]["k"], content["ablation"]["n"]
     canonical = json.dumps(content, sort_keys=True)
     return hashlib.sha256(canonical.encode()).hexdigest()[:10]

@@ -12,11 +12,11 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from ril.config import Config
 from ril.methods import base
 from ril.record import Record
 from ril.report.paper import paper_cell
 from ril.results import load_results
+from ril.schema import Config
 
 _LINE_SECONDS = 10.0  # between two lines of a log file
 
@@ -37,18 +37,21 @@ class ConsoleDisplay:
         self._task = self._bar.add_task("")
         self._config: Config | None = None
         self._folder = Path()
+        self._epochs = 0
         self._epochs_at_start: int | None = None
         self._started = self._printed = 0.0
 
-    def started(self, config: Config, folder: Path) -> None:
-        """Say what is run and where it goes."""
-        self._config, self._folder = config, folder
+    def started(self, config: Config, folder: Path, epochs: int) -> None:
+        """Say what is run and for how long."""
+        self._config, self._folder, self._epochs = config, folder, epochs
         self._started = self._printed = time.monotonic()
         cell = f"env={config.env.name} method={config.method.name}"
         going_on = ", going on from its checkpoint" if (folder / "checkpoint.pt").exists() else ""
         seeds = _count(len(config.seeds), "seed") + (" together" if len(config.seeds) > 1 else "")
         self._console.print(
-            f"{cell}: {seeds}, {config.method.epochs} epochs{going_on}", soft_wrap=True
+            f"{cell}: {seeds}, {_count(epochs, 'epoch') if epochs else 'nothing to learn'}"
+            f"{going_on}",
+            soft_wrap=True,
         )
         if self._is_live:
             self._live = Live(console=self._console, transient=True, refresh_per_second=4)
@@ -60,7 +63,7 @@ class ConsoleDisplay:
         assert self._config is not None
         if self._epochs_at_start is None:
             self._epochs_at_start = progress.epoch - 1
-        now, total = time.monotonic(), self._config.method.epochs
+        now, total = time.monotonic(), self._epochs
         done = progress.epoch - self._epochs_at_start
         left = (now - self._started) / done * (total - progress.epoch)
         facts = _facts(progress, record) | {"time left": _duration(left)}
@@ -129,9 +132,9 @@ class ConsoleDisplay:
         seeds = _count(len(frame), "seed")
         performance = f"performance {frame.performance.mean():.3f}"
         self._console.print(f"AER {spread} over {seeds}, {performance}")
-        paper = paper_cell(first)
+        paper = paper_cell(frame)
         if paper is not None:
-            self._console.print(f"the paper says {paper}")
+            self._console.print(f"the paper says {paper}", soft_wrap=True)
         if skipped:
             self._console.print("finished before, so not run again; resume=false runs it anew")
         self._console.print(str(rows.parent), soft_wrap=True)

@@ -9,8 +9,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.config import EnvironmentConfig, GoalConfig
 from ril.errors import UserError
+from ril.schema import EnvironmentConfig, GoalConfig
 
 Floats = NDArray[np.float32]
 

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ril.environments import Environment, Floats
-from ril.vectorized.rollout import Environments
+from ril.vectorized.rollout import Environments, Integers
 from ril.vectorized.streams import Streams
 
 _COPIES = 25  # environments per seed that are played side by side
+
+
+class Acting(Protocol):
+    """What can be scored: a `Network`, or anything that acts like one."""
+
+    def greedy(self, observations: Floats) -> Integers:
+        """(S·N, obs) scaled observations, one seed's side by side, to (S·N,) actions."""
 
 
 class Evaluation:
@@ -27,13 +36,11 @@ class Evaluation:
         self.seeds = seeds
         self._environments: dict[int, Environments] = {}
 
-    def returns(
-        self, act: Callable[[Floats], NDArray[np.int64]], episodes: int, purpose: str
-    ) -> NDArray[np.float64]:
-        """Returns of whole episodes.
+    def returns(self, policy: Acting, episodes: int, purpose: str) -> NDArray[np.float64]:
+        """Returns of whole, greedy episodes.
 
         Args:
-            act: (S·N, obs) scaled observations, one seed's side by side, to (S·N,) actions.
+            policy: of the S seeds.
             episodes: how many per seed.
             purpose: names the episodes; the same purpose gives the same starts.
 
@@ -43,7 +50,7 @@ class Evaluation:
         starts = Streams(self.seeds, f"evaluation {purpose}").integers(2**31, episodes)
         rounds = [
             self._copies(part.shape[1])
-            .play(lambda observations, _: act(observations), part.ravel())
+            .play(lambda observations, _: policy.greedy(observations), part.ravel())
             .returns.reshape(part.shape)
             for part in np.split(starts, range(_COPIES, episodes, _COPIES), axis=1)
         ]
@@ -57,20 +64,21 @@ class Evaluation:
         return self._environments[per_seed]
 
 
-def random_returns(environment: Environment, episodes: int) -> NDArray[np.float64]:
-    """(episodes,) returns of uniformly random actions, which `performance` counts from (§4)."""
-    stream = Streams([0], "random policy")
-    count = min(episodes, _COPIES)
-    environments = Environments(environment, count)
-    returns: list[float] = []
-    while len(returns) < episodes:
-        drawn = stream.uniform(environment.max_episode_steps, count)[0]
+def random_returns(
+    environment: Environment, seeds: Sequence[int], episodes: int
+) -> NDArray[np.float64]:
+    """(S, episodes) returns of random actions; `performance` counts from seed 0's (§4)."""
+    streams = Streams(seeds, "random policy")
+    copies = min(episodes, _COPIES)
+    environments = Environments(environment, len(seeds) * copies)
+    rounds = []
+    for _ in range(math.ceil(episodes / copies)):
+        drawn = streams.uniform(environment.max_episode_steps, copies)
         actions = (drawn * environment.action_count).astype(np.int64)
-        starts = stream.integers(2**31, count).ravel()
+        starts = streams.integers(2**31, copies).ravel()
 
-        def act(_: Floats, step: int, actions: NDArray[np.int64] = actions) -> NDArray[np.int64]:
-            chosen: NDArray[np.int64] = actions[step]
-            return chosen
+        def act(_: Floats, step: int, actions: Integers = actions) -> Integers:
+            return actions[:, step].ravel()
 
-        returns.extend(environments.play(act, starts).returns)
-    return np.array(returns[:episodes])
+        rounds.append(environments.play(act, starts).returns.reshape(len(seeds), copies))
+    return np.concatenate(rounds, axis=1)[:, :episodes]

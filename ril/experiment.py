@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 import math
 import time
@@ -16,29 +15,31 @@ import torch
 import yaml
 from numpy.typing import NDArray
 
-from ril.config import Config, run_id
-from ril.demonstrations import Demonstrations, load_demonstrations, shipped_path
+from ril.config import run_id, uses_equation_2
+from ril.demonstration_files import demonstrations_path, load_demonstrations
+from ril.demonstrations import Demonstrations
 from ril.environments import Environment, load_environment
 from ril.errors import UserError
 from ril.evaluation import Evaluation, random_returns
 from ril.files import write_atomically, write_tensors
 from ril.interrupts import stop_between_epochs
-from ril.methods.base import Method, Progress, Task
+from ril.methods.base import Method, Progress
+from ril.methods.registry import METHODS
 from ril.policy import save_policies
 from ril.provenance import provenance
 from ril.record import Record
 from ril.results import Row, write_csv
+from ril.schema import METHOD_CONFIGS, Config
+from ril.task import Task
 
-#: Where each method lives; imported only when it runs.
-METHODS = {"ril": "ril.methods.ril:RIL"}
 CHECKPOINT_SECONDS = 30.0
 
 
 class Display(Protocol):
     """What shows a run to a person; see `ril.display`."""
 
-    def started(self, config: Config, folder: Path) -> None:
-        """Training begins or goes on."""
+    def started(self, config: Config, folder: Path, epochs: int) -> None:
+        """Training for that many epochs begins or goes on."""
 
     def advanced(self, progress: Progress, record: Record) -> None:
         """An epoch is done."""
@@ -67,53 +68,68 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
         KeyboardInterrupt: the user stopped it; its message says how to go on.
     """
     torch.set_num_threads(1)
-    if config.method.name not in METHODS:
-        raise UserError(f"method.name={config.method.name}: must be one of {', '.join(METHODS)}")
+    name = config.method.name
+    if name not in METHOD_CONFIGS:
+        raise UserError(f"method.name={name}: must be one of {', '.join(METHOD_CONFIGS)}")
     environment = load_environment(config.env)
     device = _device(config.device)
-    path = _demonstrations_path(config)
+    path = demonstrations_path(config)
     demonstrations = load_demonstrations(path, environment)
+    given = demonstrations.first(config.ablation.trajectories)
     identifier = run_id(config, demonstrations.sha256)
-    folder = Path(config.output_dir) / config.env.name / config.method.name / identifier
+    folder = Path(config.output_dir) / config.env.name / name / identifier
     if config.resume and (folder / "results.csv").exists():
         display.finished(folder / "results.csv", skipped=True)
         return folder
 
-    task = Task(
-        environment,
-        demonstrations.first(config.ablation.trajectories).states(environment),
-        tuple(config.seeds),
-        config.ablation,
-        device,
-    )
-    module, name = METHODS[config.method.name].split(":")
-    method: Method = getattr(importlib.import_module(module), name)(config.method, task)
+    method = None
+    if name in METHODS:
+        entry = METHODS[name]
+        expert = entry.shown(given, environment)
+        task = Task(environment, expert, tuple(config.seeds), config.ablation, device)
+        method = entry.load()(config.method, task)
     folder = _claim(folder, resume=config.resume)
     details = {"run_id": identifier, **provenance(path, demonstrations.sha256)}
     details = _keep_start(folder / "provenance.json", details)
     settings = yaml.safe_dump(dataclasses.asdict(config), sort_keys=False, allow_unicode=True)
     write_atomically(folder / "config.yaml", settings.encode())
 
-    cell = _Cell(
-        config,
-        environment,
-        demonstrations,
-        method,
-        Record(config.seeds, method.policy.flat),
-        Evaluation(environment, config.seeds),
-        folder,
-        variant,
-    )
-    display.started(config, folder)
-    seconds = _train(cell, display)
-    display.scoring()
-    rows = _rows(cell, seconds, details)
-    save_policies(folder / "policy.pt", environment, method.policy.architecture, cell.record)
-    write_csv(folder / "curve.csv", cell.record.curve)
-    write_csv(folder / "results.csv", rows)  # last: a run with rows is a finished run
+    display.started(config, folder, 0 if method is None else method.epochs)
+    started = time.monotonic()
+    evaluation = Evaluation(environment, config.seeds)
+    if method is None:
+        record = Record(config.seeds, torch.zeros(len(config.seeds), 0))
+        best = last = _reference_returns(config, environment, demonstrations)
+    else:
+        record = Record(config.seeds, method.policy.flat)
+        cell = _Cell(config, method, record, evaluation, given.actions, folder)
+        started -= _train(cell, display)
+        display.scoring()
+        best, last = _score(cell, record.best), _score(cell, record.last)
+        save_policies(folder / "policy.pt", environment, method.policy.architecture, record)
+        write_csv(folder / "curve.csv", record.curve)
+    shared = {
+        "run_id": identifier,
+        "variant": variant,
+        "random_return": random_returns(environment, [0], config.evaluation.episodes).mean(),
+        "expert_return_measured": demonstrations.returns.mean(),
+        "wall_seconds": round(time.monotonic() - started, 2),
+        "commit": details["commit"],
+    }
+    # Last: a run with rows is a finished run.
+    write_csv(folder / "results.csv", _rows(config, record, best, last, shared))
     (folder / "checkpoint.pt").unlink(missing_ok=True)
     display.finished(folder / "results.csv", skipped=False)
     return folder
+
+
+def _reference_returns(
+    config: Config, environment: Environment, demonstrations: Demonstrations
+) -> NDArray[np.float64]:
+    """(S, episodes) returns that `performance` counts from (random) and to (expert)."""
+    if config.method.name == "random":
+        return random_returns(environment, config.seeds, config.evaluation.episodes)
+    return np.tile(demonstrations.returns, (len(config.seeds), 1))
 
 
 @dataclass(frozen=True)
@@ -121,46 +137,48 @@ class _Cell:
     """What one run works with."""
 
     config: Config
-    environment: Environment
-    demonstrations: Demonstrations
     method: Method
     record: Record
     evaluation: Evaluation
+    expert_actions: NDArray[np.int64]
     folder: Path
-    variant: str
 
 
 def _train(cell: _Cell, display: Display) -> float:
-    """Train to the end, from the checkpoint if there is one; returns the seconds it took."""
+    """Train to the end, from the checkpoint if there is one.
+
+    Returns:
+        The seconds that training had taken before it was stopped and went on here.
+    """
     method, record, settings = cell.method, cell.record, cell.config.evaluation
     checkpoint = cell.folder / "checkpoint.pt"
-    seconds = _load_checkpoint(checkpoint, method, record)
-    expert_actions = cell.demonstrations.first(cell.config.ablation.trajectories).actions
+    before = _load_checkpoint(checkpoint, method, record)
     started = saved = time.monotonic()
     with stop_between_epochs() as stop:
         for progress in method.train():
             live = ~record.stopped
             just_stopped = record.advance(progress, method.policy.flat)
-            last = progress.epoch == cell.config.method.epochs
+            last = progress.epoch == method.epochs
             # A stop is looked at for its own seed only: the others' looks are not to depend on it.
             looked_at = live if last or progress.epoch % settings.every == 0 else just_stopped
-            if looked_at.any():
+            if looked_at.any() and progress.can_act:
                 metrics = dict(progress.metrics)
                 if progress.pseudo_labels is not None:
-                    metrics["label_accuracy"] = (progress.pseudo_labels == expert_actions).mean(
-                        axis=1
-                    )
+                    right = progress.pseudo_labels == cell.expert_actions
+                    metrics["label_accuracy"] = right.mean(axis=1)
                 purpose = f"after epoch {progress.epoch}"
-                returns = cell.evaluation.returns(method.act, settings.selection_episodes, purpose)
+                returns = cell.evaluation.returns(
+                    method.policy, settings.selection_episodes, purpose
+                )
                 record.evaluated(returns.mean(axis=1), looked_at, metrics)
             display.advanced(progress, record)
             if stop.is_set() or time.monotonic() - saved > CHECKPOINT_SECONDS:
                 saved = time.monotonic()
-                _save_checkpoint(checkpoint, method, record, seconds + saved - started)
+                _save_checkpoint(checkpoint, method, record, before + saved - started)
             if stop.is_set():
                 goes_on = "; the same command goes on from there" if cell.config.resume else ""
                 raise KeyboardInterrupt(f"stopped after epoch {progress.epoch}{goes_on}")
-    return seconds + time.monotonic() - started
+    return before
 
 
 def _save_checkpoint(checkpoint: Path, method: Method, record: Record, seconds: float) -> None:
@@ -189,30 +207,29 @@ def _score(cell: _Cell, parameters: torch.Tensor) -> NDArray[np.float64]:
     """(S, episodes) returns of given policies on fresh episodes, the same starts for each call."""
     cell.method.policy.flat.copy_(parameters)
     episodes = cell.config.evaluation.episodes
-    return cell.evaluation.returns(cell.method.act, episodes, "of the result")
+    return cell.evaluation.returns(cell.method.policy, episodes, "of the result")
 
 
-def _rows(cell: _Cell, training_seconds: float, details: dict[str, Any]) -> list[Row]:
-    """Score the best and last policies; a row per seed."""
-    started = time.monotonic()
-    config, record, ablation = cell.config, cell.record, cell.config.ablation
-    best, last = _score(cell, record.best), _score(cell, record.last)
+def _rows(
+    config: Config,
+    record: Record,
+    best: NDArray[np.float64],
+    last: NDArray[np.float64],
+    shared: dict[str, Any],
+) -> list[Row]:
+    """A row per seed, of (S, episodes) returns of the best and last policies."""
     aer = best.mean(axis=1)
-    expert = float(cell.demonstrations.returns.mean())
-    random = float(random_returns(cell.environment, config.evaluation.episodes).mean())
+    random, expert = shared["random_return"], shared["expert_return_measured"]
     performance = (aer - random) / (expert - random) if expert != random else aer * math.nan
-    seconds = training_seconds + time.monotonic() - started
+    ablation = dataclasses.asdict(config.ablation)
+    if not uses_equation_2(config):
+        ablation |= {"k": None, "n": None}
     return [
         Row(
-            run_id=details["run_id"],
             env=config.env.name,
             method=config.method.name,
-            variant=cell.variant,
             seed=seed,
-            k=ablation.k,
-            n=ablation.n,
-            trajectories=ablation.trajectories,
-            expert_return=ablation.expert_return,
+            **ablation,
             epochs=int(record.epochs[index]),
             best_epoch=int(record.best_epoch[index]),
             aer=float(aer[index]),
@@ -223,10 +240,7 @@ def _rows(cell: _Cell, training_seconds: float, details: dict[str, Any]) -> list
             expert_samples=int(record.expert_samples[index]),
             pre_samples=record.pre_samples,
             samples_to_best=int(record.samples_to_best[index]),
-            random_return=random,
-            expert_return_measured=expert,
-            wall_seconds=round(seconds, 2),
-            commit=details["commit"],
+            **shared,
         )
         for index, seed in enumerate(config.seeds)
     ]
@@ -241,20 +255,6 @@ def _device(name: str) -> torch.device:
     if device.type not in ("cpu", "cuda"):
         raise UserError(f"device={name}: must be cpu or cuda")
     return device
-
-
-def _demonstrations_path(config: Config) -> Path:
-    """The file that is asked for, or the one that ships with ril."""
-    if config.demonstrations is not None:
-        return Path(config.demonstrations)
-    level = config.ablation.expert_return
-    name = config.env.name if level is None else f"{config.env.name}_{level:g}"
-    path = shipped_path(name)
-    if not path.is_file():
-        key = "demonstrations=null" if level is None else f"ablation.expert_return={level:g}"
-        shipped = ", ".join(sorted(file.stem for file in path.parent.glob("*.npz")))
-        raise UserError(f"{key}: none ship for {name} (only {shipped}); give demonstrations=PATH")
-    return path
 
 
 def _keep_start(path: Path, details: dict[str, Any]) -> dict[str, Any]:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from omegaconf import MISSING
 
 from ril.collection import Episode, play
-from ril.config import EnvironmentConfig
 from ril.environments import Environment, Floats
 from ril.errors import UserError
+from ril.schema import EnvironmentConfig
 
 EVALUATION_EPISODES = 100  # as many as AER is a mean of (§4)
 OnStep = Callable[[int, float | None], None]  # steps so far, and the mean return if just measured

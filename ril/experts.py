@@ -27,8 +27,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ril.cli import in_one_line
-from ril.collection import pack, put_first
-from ril.demonstrations import Demonstrations
+from ril.collection import Episode, put_first, save
 from ril.environments import load_environment
 from ril.errors import UserError
 from ril.expert_training import ExpertConfig, OnStep, train
@@ -71,7 +70,7 @@ def make_expert(config: ExpertConfig, command: str, on_step: OnStep) -> dict[str
         "reset_seeds": [e.seed for e in episodes],
         "wall_seconds": round(time.monotonic() - started, 1),
     }
-    return _write(pack(episodes), record, Path(config.output))
+    return _write(episodes, record, Path(config.output))
 
 
 def _summary(values: Sequence[float]) -> dict[str, float]:
@@ -105,13 +104,13 @@ def _check(config: ExpertConfig) -> None:
         raise UserError(f"device={config.device}: not a device torch can use here") from None
 
 
-def _write(demonstrations: Demonstrations, record: dict[str, Any], output: Path) -> dict[str, Any]:
+def _write(episodes: Sequence[Episode], record: dict[str, Any], output: Path) -> dict[str, Any]:
     """Write both files under temporary names, then rename them into place."""
     described = output.with_suffix(".json")
     arrays, text = (path.with_name(f".{os.getpid()}-{path.name}") for path in (output, described))
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        demonstrations.save(arrays)
+        save(arrays, episodes)
         record = {"sha256": hashlib.sha256(arrays.read_bytes()).hexdigest(), **record}
         text.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         arrays.replace(output)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,13 @@ from torch import Tensor
 from ril.environments import Environment, Floats
 from ril.errors import UserError
 from ril.files import write_tensors
+from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.record import Record
-from ril.vectorized.networks import Architecture, Network
+from ril.vectorized.networks import MLP, Architecture, Network
+
+_ARCHITECTURES: dict[str, type[Architecture]] = {
+    kind.__name__: kind for kind in (MLP, LatentPolicy, LatentDynamics, ActionRemapping)
+}
 
 
 class Policy:
@@ -58,12 +63,26 @@ def save_policies(
         "env_id": environment.config.id,
         "observation_low": torch.from_numpy(environment.low),
         "observation_high": torch.from_numpy(environment.high),
-        "architecture": asdict(architecture),
+        "architecture": _described(architecture),
         "seeds": list(record.seeds),
         "best": record.best.cpu(),
         "last": record.last.cpu(),
     }
     write_tensors(path, content)
+
+
+def _described(architecture: Any) -> dict[str, Any]:
+    """An architecture as plain values; those that it is made of, too."""
+    values = {field.name: getattr(architecture, field.name) for field in fields(architecture)}
+    plain = {k: _described(v) if is_dataclass(v) else v for k, v in values.items()}
+    return {"kind": type(architecture).__name__, **plain}
+
+
+def _built(description: dict[str, Any]) -> Any:
+    """The architecture of a description."""
+    values = {k: _built(v) if isinstance(v, dict) else v for k, v in description.items()}
+    kind = values.pop("kind", "MLP")
+    return _ARCHITECTURES[kind](**values)
 
 
 def load_policy(path: str | Path, seed: int, which: str = "best") -> Policy:
@@ -79,7 +98,8 @@ def load_policy(path: str | Path, seed: int, which: str = "best") -> Policy:
     """
     try:
         content: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        seeds, architecture = content["seeds"], Architecture(**content["architecture"])
+        seeds = content["seeds"]
+        architecture = _built(content["architecture"])
     except Exception as error:
         raise UserError(f"{path}: not a policy that ril saved ({type(error).__name__})") from None
     if seed not in seeds:

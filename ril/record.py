@@ -70,7 +70,7 @@ class Record:
         Args:
             aer: (S,) mean returns.
             looked_at: (S,) seeds that it counts for; they were still training in this epoch.
-            metrics: diagnostics of the epoch, each (S,), under the names of `CurvePoint`.
+            metrics: diagnostics of the epoch by name, each (S,).
         """
         samples = self.env_samples + self.expert_samples
         for index in np.flatnonzero(looked_at).tolist():
@@ -81,7 +81,7 @@ class Record:
                     int(self.epochs[index]),
                     int(samples[index]),
                     float(aer[index]),
-                    **of_seed,
+                    of_seed,
                 )
             )
         better = looked_at & (aer > self.best_aer)

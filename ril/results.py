@@ -22,8 +22,8 @@ class Row:
         method: name of the method.
         variant: keys that were set apart from the cell's own, "" for the method as it comes.
         seed: of the agent.
-        k: eq. 2's slope.
-        n: eq. 2's epochs.
+        k: eq. 2's slope; empty for methods without that equation.
+        n: eq. 2's epochs; likewise.
         trajectories: expert trajectories learnt from.
         expert_return: the level asked of a sub-optimal expert; empty for the usual one.
         epochs: trained, fewer than asked where the stopping rule ended the seed.
@@ -47,8 +47,8 @@ class Row:
     method: str
     variant: str
     seed: int
-    k: float
-    n: float
+    k: float | None
+    n: float | None
     trajectories: int
     expert_return: float | None
     epochs: int
@@ -76,35 +76,24 @@ class CurvePoint:
         epoch: after which it was evaluated.
         samples: env_samples + expert_samples so far (§5.2.2).
         aer: mean return of the selection episodes.
-        training_return: mean return of this epoch's own, exploring episodes.
-        epsilon: ε of this epoch.
-        label_accuracy: share of pseudo-labels that equal the expert's true actions, which the
-            method itself never sees.
-        inverse_dynamics_accuracy: share of the own episodes' actions that M_θ infers.
-        inverse_dynamics_loss: mean cross-entropy of M_θ.
-        cloning_loss: mean cross-entropy of π_φ on the pseudo-labels.
-        td_loss: mean temporal-difference loss.
-        goals: share of this epoch's episodes that reached the goal.
+        metrics: the method's own diagnostics of this epoch, each a column; see its page in docs/.
+            Besides, of methods with pseudo-labels: `label_accuracy`, the share that equals the
+            expert's true actions, which the method itself never sees.
     """
 
     seed: int
     epoch: int
     samples: int
     aer: float
-    training_return: float | None = None
-    epsilon: float | None = None
-    label_accuracy: float | None = None
-    inverse_dynamics_accuracy: float | None = None
-    inverse_dynamics_loss: float | None = None
-    cloning_loss: float | None = None
-    td_loss: float | None = None
-    goals: float | None = None
+    metrics: dict[str, float]
 
 
 def write_csv(path: Path, lines: Sequence[Row] | Sequence[CurvePoint]) -> None:
     """Write rows or points under their field names."""
-    frame = pd.DataFrame([asdict(line) for line in lines])
-    write_atomically(path, frame.to_csv(index=False).encode())
+    plain = [asdict(line) for line in lines]
+    for line in plain:
+        line |= line.pop("metrics", {})
+    write_atomically(path, pd.DataFrame(plain).to_csv(index=False).encode())
 
 
 def load_results(folders: Sequence[Path]) -> pd.DataFrame:

@@ -14,32 +14,63 @@ from hypothesis import settings
 from omegaconf import DictConfig
 
 from ril.cli import store_schemas
-from ril.config import Config, from_hydra
-from ril.demonstrations import Demonstrations, load_demonstrations
+from ril.collection import Episode, save
+from ril.config import from_hydra
+from ril.demonstration_files import load_demonstrations
 from ril.environments import Environment, load_environment
-from ril.methods.base import Progress, Task
+from ril.methods.base import Progress
+from ril.methods.registry import METHODS
 from ril.paths import config_folder
 from ril.record import Record
+from ril.schema import Config
+from ril.task import Task
 
 torch.set_num_threads(1)
 settings.register_profile("ril", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("ril")
 
-#: A run of a second.
-QUICK = (
+#: What makes a run one of a second, whatever the method …
+QUICK_RUN = (
     "seeds=2",
-    "method.epochs=3",
-    "method.goal_sampler.pre_steps_per_action=60",
-    "method.inverse_dynamics.updates=4",
-    "method.inverse_dynamics.batch_size=16",
-    "method.cloning.updates=4",
-    "method.cloning.batch_size=16",
-    "method.q_learning.updates=4",
-    "method.q_learning.batch_size=16",
     "evaluation.episodes=3",
     "evaluation.selection_episodes=2",
     "evaluation.every=2",
 )
+QUICK_CLONING = ("method.epochs=3", "method.cloning.updates=4", "method.cloning.batch_size=16")
+QUICK_IMITATION = (
+    *QUICK_CLONING,
+    "method.goal_sampler.pre_steps_per_action=60",
+    "method.inverse_dynamics.updates=4",
+    "method.inverse_dynamics.batch_size=16",
+)
+#: … and by method.
+QUICK_METHODS = {
+    "bc": QUICK_CLONING,
+    "gail": (
+        "method.total_timesteps=256",  # 4 rounds
+        "method.discriminator.batch_size=16",
+        "method.ppo.n_envs=2",
+        "method.ppo.n_steps=32",
+        "method.ppo.batch_size=16",
+        "method.ppo.n_epochs=2",
+    ),
+    "ilpo": (
+        "method.epochs=2",
+        "method.latent_policy.updates=4",
+        "method.latent_policy.batch_size=16",
+        "method.remapping.steps=20",
+        "method.remapping.steps_per_epoch=10",
+        "method.remapping.batch_size=16",
+    ),
+    "iupe": (*QUICK_IMITATION, "method.episodes=2"),
+    "ril": (
+        *QUICK_IMITATION,
+        "method.q_learning.updates=4",
+        "method.q_learning.batch_size=16",
+    ),
+}
+#: A run of RIL of a second.
+QUICK = (*QUICK_RUN, *QUICK_METHODS["ril"])
 #: CartPole with a goal that some of an untrained policy's episodes reach, and others do not.
 CARTPOLE = ("env=cartpole", "env.goal.minimum_return=11", "ablation.n=4")
 
@@ -83,31 +114,23 @@ def cartpole(environments: dict[str, Environment]) -> Environment:
     return environments["cartpole"]
 
 
-def follow_rule(environment: Environment, seeds: Sequence[int]) -> Demonstrations:
-    """A trajectory per reset seed of the environment's rule, by a plain Gymnasium loop."""
+def follow_rule(environment: Environment, seeds: Sequence[int]) -> list[Episode]:
+    """An episode per reset seed of the environment's rule, by a plain Gymnasium loop."""
     rule = RULES[environment.config.name]
     copy = environment.make()
-    observations, actions, rewards, lengths, ends = [], [], [], [], []
+    episodes = []
     for seed in seeds:
         observation, _ = copy.reset(seed=seed)
-        observations.append(observation)
+        observations, actions, rewards = [observation], [], []
         terminated = truncated = False
-        length = 0
         while not (terminated or truncated):
             actions.append(rule(observation))
             observation, reward, terminated, truncated, _ = copy.step(actions[-1])
             observations.append(observation)
             rewards.append(reward)
-            length += 1
-        lengths.append(length)
-        ends.append(terminated)
-    return Demonstrations(
-        np.array(observations, dtype=np.float32),
-        np.array(actions),
-        np.array(rewards, dtype=np.float32),
-        np.array(lengths),
-        np.array(ends),
-    )
+        arrays = np.array(observations), np.array(actions), np.array(rewards, dtype=np.float32)
+        episodes.append(Episode(seed, *arrays, terminated))
+    return episodes
 
 
 @pytest.fixture(scope="session")
@@ -118,16 +141,18 @@ def demonstration_files(
     folder = tmp_path_factory.mktemp("demonstrations")
     files = {name: folder / f"{name}.npz" for name in RULES}
     for name, file in files.items():
-        follow_rule(environments[name], seeds=(0, 1, 2)).save(file)
+        save(file, follow_rule(environments[name], seeds=(0, 1, 2)))
     return files
 
 
 @pytest.fixture(scope="session")
 def quick(compose: Compose, demonstration_files: dict[str, Path]) -> Compose:
-    """The configuration of a small run on CartPole, or as the overrides say."""
+    """The configuration of a small run of RIL on CartPole, or as the overrides say."""
 
     def quickly(*overrides: str) -> Config:
-        config = compose(*QUICK, *CARTPOLE, *overrides)
+        named = [each.removeprefix("method=") for each in overrides if each.startswith("method=")]
+        settings = QUICK_METHODS[named[-1] if named else "ril"]
+        config = compose(*QUICK_RUN, *settings, *CARTPOLE, *overrides)
         if config.demonstrations is None:
             config.demonstrations = str(demonstration_files[config.env.name])
         return config
@@ -143,7 +168,8 @@ def make_task() -> Callable[[Config], Task]:
         environment = load_environment(config.env)
         assert config.demonstrations is not None
         demonstrations = load_demonstrations(Path(config.demonstrations), environment)
-        expert = demonstrations.first(config.ablation.trajectories).states(environment)
+        shown = demonstrations.first(config.ablation.trajectories)
+        expert = METHODS[config.method.name].shown(shown, environment)
         device = torch.device("cpu")
         return Task(environment, expert, tuple(config.seeds), config.ablation, device)
 
@@ -153,7 +179,7 @@ def make_task() -> Callable[[Config], Task]:
 class Silence:
     """A display that shows nothing."""
 
-    def started(self, config: Config, folder: Path) -> None: ...
+    def started(self, config: Config, folder: Path, epochs: int) -> None: ...
 
     def advanced(self, progress: Progress, record: Record) -> None: ...
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
-from ril.vectorized.networks import Architecture, Network
+from ril.vectorized.networks import MLP, Architecture, Network, parameter_count
 
 
 class SelfAttention(nn.Module):
@@ -33,7 +35,7 @@ class OneToken(nn.Module):
         return self.attention(x[:, None]).squeeze(1)
 
 
-def network_of(architecture: Architecture) -> nn.Sequential:
+def network_of(architecture: MLP) -> nn.Sequential:
     """The topology of §4.1 as torch.nn modules, with random parameters of their own."""
     parts: list[nn.Module] = []
     fan_in = architecture.inputs
@@ -43,7 +45,8 @@ def network_of(architecture: Architecture) -> nn.Sequential:
             parts.append(OneToken(size))
         if architecture.layer_norm:
             parts.append(nn.LayerNorm(size))
-        parts.append(nn.LeakyReLU(architecture.negative_slope))
+        slope = architecture.negative_slope
+        parts.append(nn.Tanh() if slope is None else nn.LeakyReLU(slope))
         fan_in = size
     return nn.Sequential(*parts, nn.Linear(fan_in, architecture.outputs))
 
@@ -85,7 +88,7 @@ def copies_of(network: Network) -> list[nn.Sequential]:
 def random_network(architecture: Architecture, seeds: int = 3) -> Network:
     """Networks in which every parameter, γ too, differs from 0."""
     generator = torch.Generator().manual_seed(0)
-    flat = 0.5 * torch.randn(seeds, architecture.parameter_count, generator=generator)
+    flat = 0.5 * torch.randn(seeds, parameter_count(architecture), generator=generator)
     return Network(architecture, flat)
 
 
@@ -109,3 +112,90 @@ def gradients_of(network: Network, losses: Tensor) -> Tensor:
     leaves = list(network.parameters.values())
     gradients = torch.autograd.grad(losses.sum(), leaves)
     return torch.cat([g.reshape(len(g), -1) for g in gradients], dim=1)
+
+
+def fill(module: nn.Module, network: Network, seed: int) -> None:
+    """Give a module's Linear layers the parameters of the same names of one seed's network."""
+    for name, layer in module.named_children():
+        assert isinstance(layer, nn.Linear)
+        layer.weight.data.copy_(network.parameters[f"{name}.weight"][seed].T)
+        layer.bias.data.copy_(network.parameters[f"{name}.bias"][seed, 0])
+
+
+def linear_flat_of(module: nn.Module, *, gradients: bool = False) -> Tensor:
+    """(P,) parameters, or gradients, of a module's Linear layers, as a row of `Network.flat`."""
+    parts = []
+    for layer in module.children():
+        assert isinstance(layer, nn.Linear)
+        for parameter in (layer.weight, layer.bias):
+            values = parameter.detach()
+            if gradients:
+                # What is not part of a loss has no gradient.
+                values = torch.zeros_like(values) if parameter.grad is None else parameter.grad
+            parts.append(values.T.reshape(-1) if values.ndim == 2 else values)
+    return torch.cat(parts)
+
+
+def leaky(x: Tensor) -> Tensor:
+    return torch.where(x > 0, x, 0.2 * x)
+
+
+class LatentActions(nn.Module):
+    """ILPO's latent policy and generator (Edwards et al., 2019), one latent action at a time."""
+
+    def __init__(self, observations: int, latents: int, first: int, code: int, last: int) -> None:
+        super().__init__()
+        self.latents = latents
+        self.encoder0, self.encoder1 = nn.Linear(observations, first), nn.Linear(first, code)
+        self.latent = nn.Linear(code, latents)
+        self.embedding = nn.Linear(latents, code)
+        self.joint = nn.Linear(2 * code, code)
+        self.generator0, self.generator1 = nn.Linear(code, last), nn.Linear(last, observations)
+
+    def encode(self, states: Tensor) -> Tensor:
+        return self.encoder1(leaky(self.encoder0(states)))
+
+    def probabilities(self, states: Tensor) -> Tensor:
+        """(B, |Z|) of the latent policy."""
+        return self.latent(leaky(self.encode(states))).softmax(dim=1)
+
+    def change(self, states: Tensor, latent: int) -> Tensor:
+        """(B, obs) predicted s' − s."""
+        one_hot = torch.zeros(len(states), self.latents)
+        one_hot[:, latent] = 1
+        both = torch.cat((leaky(self.encode(states)), leaky(self.embedding(one_hot))), dim=1)
+        return self.generator1(leaky(self.generator0(leaky(self.joint(both)))))
+
+    def loss(self, states: Tensor, changes: Tensor) -> Tensor:
+        """Mean over b of min over z of ‖Δ − g‖², and of ‖Δ − Σ_z p(z|s)·g‖² with g held."""
+        probabilities = self.probabilities(states)
+        found = [self.change(states, latent) for latent in range(self.latents)]
+        total = torch.zeros(())
+        for b, change in enumerate(changes):
+            total = total + min((change - g[b]).pow(2).sum() for g in found)
+            mean = sum(p * g[b].detach() for p, g in zip(probabilities[b], found, strict=True))
+            total = total + (change - mean).pow(2).sum()
+        return total / len(states)
+
+
+class Remapping(nn.Module):
+    """ILPO's π(a | s, z), with an encoder of its own."""
+
+    def __init__(
+        self, observations: int, latents: int, actions: int, code: tuple[int, int], hidden: Any
+    ) -> None:
+        super().__init__()
+        self.latents = latents
+        self.remap_encoder0 = nn.Linear(observations, code[0])
+        self.remap_encoder1 = nn.Linear(code[0], code[1])
+        self.remap_embedding = nn.Linear(latents, code[1])
+        self.remap_joint0 = nn.Linear(2 * code[1], hidden[0])
+        self.remap_joint1 = nn.Linear(hidden[0], hidden[1])
+        self.remap_output = nn.Linear(hidden[1], actions)
+
+    def forward(self, states: Tensor, latents: Tensor) -> Tensor:
+        """(B, obs) states and (B,) latent actions to (B, |A|) logits."""
+        encoded = leaky(self.remap_encoder1(leaky(self.remap_encoder0(states))))
+        embedded = leaky(self.remap_embedding(torch.eye(self.latents)[latents]))
+        joint = leaky(self.remap_joint0(torch.cat((encoded, embedded), dim=1)))
+        return self.remap_output(leaky(self.remap_joint1(joint)))

@@ -8,8 +8,9 @@ import pytest
 from conftest import composed
 from omegaconf import OmegaConf
 
-from ril.config import Config, from_hydra, run_id
+from ril.config import from_hydra, run_id
 from ril.errors import UserError
+from ril.schema import Config
 
 NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 GYM = ("env=gym", "env.id=MountainCar-v0")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -9,9 +11,18 @@ from ril.evaluation import Evaluation, random_returns
 from ril.vectorized.streams import Streams
 
 
-def lean(observations: Floats) -> np.ndarray:
-    """Push CartPole towards the fall."""
+class Policy:
+    """Acts by a function of scaled observations."""
+
+    def __init__(self, greedy: Callable[[Floats], np.ndarray]) -> None:
+        self.greedy = greedy
+
+
+def towards_the_fall(observations: Floats) -> np.ndarray:
     return (observations[:, 3] > 0).astype(np.int64)
+
+
+lean = Policy(towards_the_fall)
 
 
 @pytest.mark.parametrize("episodes", [1, 7, 20, 23])
@@ -33,9 +44,11 @@ def test_returns_are_those_of_plain_episodes(cartpole: Environment, episodes: in
 def test_each_seeds_own_policy_plays_its_episodes(cartpole: Environment) -> None:
     def act(observations: Floats) -> np.ndarray:
         by_seed = observations.reshape(2, -1, 4)
-        return np.stack((lean(by_seed[0]), np.ones(by_seed.shape[1], dtype=np.int64))).ravel()
+        return np.stack(
+            (towards_the_fall(by_seed[0]), np.ones(by_seed.shape[1], dtype=np.int64))
+        ).ravel()
 
-    leaning, pushing = Evaluation(cartpole, (0, 1)).returns(act, 10, "test")
+    leaning, pushing = Evaluation(cartpole, (0, 1)).returns(Policy(act), 10, "test")
     assert leaning.min() > 100
     assert pushing.max() < 15
 
@@ -60,15 +73,22 @@ def test_another_purpose_plays_other_episodes(cartpole: Environment) -> None:
 
 @pytest.mark.parametrize("episodes", [1, 7, 45])
 def test_random_returns_are_as_many_as_asked(cartpole: Environment, episodes: int) -> None:
-    assert random_returns(cartpole, episodes).shape == (episodes,)
+    assert random_returns(cartpole, [0, 7], episodes).shape == (2, episodes)
 
 
 def test_random_returns_are_always_the_same(cartpole: Environment) -> None:
-    np.testing.assert_array_equal(random_returns(cartpole, 30), random_returns(cartpole, 30))
+    once, again = (random_returns(cartpole, [0], 30) for _ in range(2))
+    np.testing.assert_array_equal(once, again)
+
+
+def test_a_seeds_random_returns_do_not_depend_on_other_seeds(cartpole: Environment) -> None:
+    alone, among = random_returns(cartpole, [5], 30), random_returns(cartpole, [3, 5, 9], 30)
+    np.testing.assert_array_equal(among[1], alone[0])
+    assert (among[0] != among[1]).any()
 
 
 def test_random_returns_are_of_different_episodes(cartpole: Environment) -> None:
-    assert len(set(random_returns(cartpole, 60).tolist())) > 10
+    assert len(set(random_returns(cartpole, [0], 60)[0].tolist())) > 10
 
 
 @pytest.mark.parametrize(
@@ -77,4 +97,4 @@ def test_random_returns_are_of_different_episodes(cartpole: Environment) -> None
 def test_random_returns_are_those_of_random_play(
     environments: dict[str, Environment], name: str, low: float, high: float
 ) -> None:
-    assert low <= random_returns(environments[name], 100).mean() <= high
+    assert low <= random_returns(environments[name], [0], 100).mean() <= high

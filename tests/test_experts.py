@@ -7,12 +7,14 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ril.collection import Episode, pack, play, put_first
-from ril.demonstrations import SHIPPED, Demonstrations, load_demonstrations, shipped_path
+from ril.demonstration_files import SHIPPED, demonstrations_path, load_demonstrations, shipped_path
+from ril.demonstrations import Demonstrations
 from ril.environments import Environment, reaches_goal
 from ril.experts import main
 
@@ -175,10 +177,10 @@ def test_playing_side_by_side_is_playing_one_after_another(mountaincar: Environm
     together = pack(play(mountaincar, pump, [5, 6, 7]))
     alone = [pack(play(mountaincar, pump, [seed])) for seed in (5, 6, 7)]
     np.testing.assert_array_equal(
-        together.observations, np.concatenate([a.observations for a in alone])
+        together["observations"], np.concatenate([a["observations"] for a in alone])
     )
-    assert together.lengths.tolist() == [a.lengths[0] for a in alone]
-    assert together.terminated.all()
+    assert together["lengths"].tolist() == [a["lengths"][0] for a in alone]
+    assert together["terminated"].all()
 
 
 # --- the shipped files -------------------------------------------------------------------------
@@ -214,16 +216,38 @@ def test_shipped_demonstrations_are_what_their_record_says(
     assert record["first"]["return"] == pytest.approx(demonstrations.returns[0], abs=1e-3)
 
 
+# Table 9: the levels of its sub-optimal experts.
+LEVELS = {
+    "cartpole": (400, 300, 200, 100),
+    "acrobot": (-100, -150, -200, -250),
+    "mountaincar": (-140, -150),
+}
+
+
+@pytest.mark.parametrize(("name", "level"), [(n, level) for n in LEVELS for level in LEVELS[n]])
+def test_sub_optimal_experts_are_of_the_papers_levels(
+    compose: Any, environments: dict[str, Environment], name: str, level: int
+) -> None:
+    path = demonstrations_path(compose(f"env={name}", f"ablation.expert_return={level}"))
+    demonstrations = load_demonstrations(path, environments[name])
+    record = json.loads(path.with_suffix(".json").read_text())
+    assert record["config"]["target_return"] == level
+    assert record["sha256"] == demonstrations.sha256
+    assert len(demonstrations.lengths) >= 10
+    assert demonstrations.returns.mean() == pytest.approx(level, rel=0.05)
+
+
 def test_the_first_shipped_trajectory_reaches_the_goal(
     shipped: tuple[str, Environment, Demonstrations, dict],
 ) -> None:
-    _, environment, demonstrations, _ = shipped
-    first = demonstrations.first(1)
+    name, environment, demonstrations, _ = shipped
+    with np.load(shipped_path(name)) as archive:
+        arrays = dict(archive)
     assert reaches_goal(
         environment.config.goal,
-        returns=first.returns,
-        final_rewards=first.rewards[-1:],
-        terminated=first.terminated,
+        returns=demonstrations.returns[:1],
+        final_rewards=arrays["rewards"][demonstrations.lengths[:1] - 1],
+        terminated=arrays["terminated"][:1],
     ).all()
 
 

@@ -11,9 +11,9 @@ from ril.environments import Environment
 from ril.errors import UserError
 from ril.policy import load_policy, save_policies
 from ril.record import Record
-from ril.vectorized.networks import Architecture, Network
+from ril.vectorized.networks import MLP, Network
 
-ARCHITECTURE = Architecture(inputs=4, hidden=(6,), outputs=2)
+ARCHITECTURE = MLP(inputs=4, hidden=(6,), outputs=2)
 SEEDS = (3, 8)
 RAW = np.random.default_rng(0).normal(size=(50, 4)).astype(np.float32)
 

@@ -76,7 +76,7 @@ def test_the_curve_has_a_point_per_seed_and_look(record: Record) -> None:
 def test_the_curve_keeps_each_seeds_diagnostics(record: Record) -> None:
     record.advance(progress(1), parameters(1))
     record.evaluated(np.zeros(2), ALL, {"epsilon": np.array([0.5, 0.25])})
-    assert [point.epsilon for point in record.curve] == [0.5, 0.25]
+    assert [point.metrics["epsilon"] for point in record.curve] == [0.5, 0.25]
 
 
 def test_a_look_counts_for_its_seeds_only(record: Record) -> None:

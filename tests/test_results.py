@@ -90,9 +90,14 @@ def test_columns_are_the_fields_in_their_order(tmp_path: Path) -> None:
     assert header.split(",") == [field.name for field in dataclasses.fields(Row)]
 
 
-def test_missing_diagnostics_are_empty(tmp_path: Path) -> None:
-    write_csv(tmp_path / "curve.csv", [CurvePoint(seed=0, epoch=5, samples=9, aer=-2.5)])
-    assert (tmp_path / "curve.csv").read_text().splitlines()[1] == "0,5,9,-2.5" + 8 * ","
+def test_each_diagnostic_is_a_column_and_missing_ones_are_empty(tmp_path: Path) -> None:
+    points = [CurvePoint(0, 5, 9, -2.5, {"loss": 0.5}), CurvePoint(0, 6, 10, -2.0, {"goals": 1.0})]
+    write_csv(tmp_path / "curve.csv", points)
+    assert (tmp_path / "curve.csv").read_text().splitlines() == [
+        "seed,epoch,samples,aer,loss,goals",
+        "0,5,9,-2.5,0.5,",
+        "0,6,10,-2.0,,1.0",
+    ]
 
 
 def test_results_are_those_of_all_folders_below(tmp_path: Path) -> None:

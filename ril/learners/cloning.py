@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.config import CloningConfig
-from ril.learners.inverse_dynamics import cross_entropy
-from ril.learners.q_learning import sample_softmax
+from ril.schema import CloningConfig
+from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams
@@ -62,20 +60,3 @@ class Cloning:
         """Go on from where `state_dict` was taken."""
         self._optimizer.load_state_dict(state["optimizer"])
         self._streams.load_state_dict(state["streams"])
-
-
-def exploration_ratio(logits: Tensor, uniform: NDArray[np.float32]) -> NDArray[np.float64]:
-    """How often sampling from the policy departs from its greedy action (§3.4).
-
-    Args:
-        logits: (S, M, |A|) at the expert's states.
-        uniform: (S, M) random numbers in [0, 1).
-
-    Returns:
-        (S,) share of samples whose action is not the argmax.
-    """
-    sampled = sample_softmax(logits, torch.from_numpy(uniform).to(logits.device))
-    ratio: NDArray[np.float64] = (
-        (sampled != logits.argmax(dim=-1)).double().mean(dim=1).cpu().numpy()
-    )
-    return ratio

@@ -6,20 +6,14 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from ril.config import InverseDynamicsConfig
 from ril.learners.goal_sampler import Selection
+from ril.schema import InverseDynamicsConfig
+from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import Batch, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
-
-
-def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
-    """Mean cross-entropy of each seed: logits (S, B, |A|) and labels (S, B) to (S,)."""
-    losses = functional.cross_entropy(logits.flatten(0, 1), labels.flatten(), reduction="none")
-    return losses.view(labels.shape).mean(dim=1)
 
 
 class InverseDynamics:
@@ -36,7 +30,7 @@ class InverseDynamics:
         self.config = config
         self._streams = streams
         self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
-        features = network.architecture.inputs
+        features = network.parameters["linear0.weight"].shape[1]
         self._mean = torch.zeros(len(network.flat), 1, features, device=network.flat.device)
         self._deviation = torch.ones_like(self._mean)
 

@@ -1,4 +1,4 @@
-"""Q-learning on the policy's own episodes (§3.3, eq. 1), and how it explores."""
+"""Q-learning on the policy's own episodes (§3.3, eq. 1)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config import QLearningConfig
+from ril.schema import QLearningConfig
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.streams import Streams
@@ -44,39 +44,6 @@ def td_loss(values: Tensor, batch: Batch, targets: Tensor, loss: str) -> Tensor:
     taken = values.gather(-1, batch.actions[..., None]).squeeze(-1)
     distance = functional.smooth_l1_loss if loss == "huber" else functional.mse_loss
     return distance(taken, targets, reduction="none").mean(dim=1)
-
-
-def sample_softmax(logits: Tensor, uniform: Tensor) -> Tensor:
-    """Draw from softmax(logits) by inverting its distribution function.
-
-    Args:
-        logits: (..., |A|).
-        uniform: (...) random numbers in [0, 1).
-
-    Returns:
-        (...) actions.
-    """
-    below = logits.softmax(dim=-1).cumsum(dim=-1) <= uniform[..., None]
-    return below.sum(dim=-1).clamp(max=logits.shape[-1] - 1)
-
-
-def explore(logits: Tensor, epsilon: Tensor, uniform: Tensor, kind: str) -> Tensor:
-    """ε-greedy actions (§3.4).
-
-    Args:
-        logits: (S, N, |A|).
-        epsilon: (S,) chance to explore instead of taking the argmax.
-        uniform: (2, S, N) random numbers in [0, 1): whether to explore, and with what.
-        kind: "softmax" explores with an action of softmax(logits), "uniform" with any.
-
-    Returns:
-        (S, N) actions.
-    """
-    if kind == "softmax":
-        other = sample_softmax(logits, uniform[1])
-    else:
-        other = (uniform[1] * logits.shape[-1]).long()
-    return torch.where(uniform[0] < epsilon[:, None], other, logits.argmax(dim=-1))
 
 
 class QLearning:

@@ -1,4 +1,4 @@
-"""What a method is given, what it gives back, and what it must be able to do."""
+"""What a method tells of its progress, and what it must be able to do."""
 
 from __future__ import annotations
 
@@ -7,32 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from ril.config import AblationConfig
-from ril.demonstrations import StateTransitions
-from ril.environments import Environment, Floats
 from ril.vectorized.networks import Network
-
-
-@dataclass(frozen=True)
-class Task:
-    """What all methods learn from.
-
-    Attributes:
-        environment: the task itself.
-        expert: the expert's state transitions T^e; no actions.
-        seeds: the S seeds that are trained together.
-        ablation: eq. 2's k and n.
-        device: where tensors live.
-    """
-
-    environment: Environment
-    expert: StateTransitions
-    seeds: tuple[int, ...]
-    ablation: AblationConfig
-    device: torch.device
 
 
 @dataclass(frozen=True)
@@ -47,6 +24,7 @@ class Progress:
         stopped: (S,) seeds whose training ended by the stopping rule at this epoch or before.
         metrics: named diagnostics, each (S,).
         pseudo_labels: (S, M) actions given to the expert's transitions; None without.
+        can_act: whether the policy is one yet, so that it is worth looking at.
     """
 
     epoch: int
@@ -56,18 +34,24 @@ class Progress:
     stopped: NDArray[np.bool_]
     metrics: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     pseudo_labels: NDArray[np.int64] | None = None
+    can_act: bool = True
 
 
 class Method(Protocol):
-    """A learning algorithm over S seeds; the experiment owns time, the method only learning."""
+    """A learning algorithm over S seeds; the experiment owns time, the method only learning.
+
+    Attributes:
+        policy: scaled observations to one output per action, of which the largest is taken.
+        epochs: how many `train` yields, unless the stopping rule ends it before.
+    """
 
     policy: Network
 
+    @property
+    def epochs(self) -> int: ...  # noqa: D102
+
     def train(self) -> Iterator[Progress]:
         """Learn, yielding after each epoch; a loaded state goes on with the next one."""
-
-    def act(self, observations: Floats) -> NDArray[np.int64]:
-        """Greedy actions: (S·N, obs) scaled observations, one seed's side by side, to (S·N,)."""
 
     def state_dict(self) -> dict[str, Any]:
         """All that the next epoch depends on."""

@@ -29,7 +29,7 @@ def in_setting(rows: pd.DataFrame, table: str) -> pd.Series[bool]:
     """Which rows were run in a table's setting: the usual expert, the method as it comes."""
     fits = rows["expert_return"].isna() & (rows["variant"] == "")
     for column, value in paper()[table]["setting"].items():
-        fits &= rows[column] == value
+        fits &= rows[column].isna() | (rows[column] == value)  # not every method has eq. 2
     return fits
 
 
@@ -38,17 +38,27 @@ def number(values: list[float]) -> str:
     return " ± ".join(f"{value:.2f}" for value in values)
 
 
-def paper_cell(row: pd.Series[Any]) -> str | None:
-    """The paper's number for a row's cell, in words; None if it has none."""
-    frame = row.to_frame().T
+def shortfall(rows: pd.DataFrame, table: str, method: str) -> list[str]:
+    """In what a cell's rows fall short of a table's seeds and the method's budget, in words."""
+    reported = paper()[table]
+    wanted = {"seeds": reported["seeds"], **reported["budget"].get(method, {})}
+    names = {"env_samples": "environment steps"}
+    short = []
+    for what, full in wanted.items():
+        have = len(rows) if what == "seeds" else int(rows[what].max())
+        if have < full:
+            short.append(f"{have:,} of {full:,} {names.get(what, what)}")
+    return short
+
+
+def paper_cell(rows: pd.DataFrame) -> str | None:
+    """The paper's number for the cell that a run's rows are of, in words; None if it has none."""
+    first = rows.iloc[0]
     for table, content in paper().items():
         for method, by_environment in content["returns"].items():
-            known = method.lower() == row["method"] and row["env"] in by_environment
-            if known and bool(in_setting(frame, table).iloc[0]):
-                budget = (
-                    f" after {content['epochs']} epochs"
-                    if row["epochs"] < content["epochs"]
-                    else ""
-                )
-                return f"{number(by_environment[row['env']])}{budget} ({content['caption']})"
+            known = method.lower() == first["method"] and first["env"] in by_environment
+            if known and bool(in_setting(rows, table).iloc[0]):
+                short = shortfall(rows, table, method)
+                ran = f"; this was {' and '.join(short)}" if short else ""
+                return f"{number(by_environment[first['env']])} ({content['caption']}{ran})"
     return None

@@ -4,61 +4,78 @@ from __future__ import annotations
 
 import pandas as pd
 
-from ril.report.paper import ENVIRONMENTS, in_setting, number, paper
+from ril.report.paper import ENVIRONMENTS, in_setting, number, paper, shortfall
 
 TUNING_SEEDS = 100  # settings are chosen on seeds from here up, which are not reported on
 
 
-def table2(rows: pd.DataFrame) -> str:
-    """Table 2's RIL row: ours, the paper's, and what is left to run.
+def imitation_table(rows: pd.DataFrame, table: str) -> str:
+    """Table 2, or the imitation half of Table 4: ours, the paper's, and what is left to run.
 
     Args:
         rows: as `results.load_results` returns them.
+        table: "table2" or "table4".
     """
-    reported = paper()["table2"]
-    ril = rows[(rows["method"] == "ril") & (rows["seed"] < TUNING_SEEDS)]
-    candidates = ril[in_setting(ril, "table2")]
+    reported = paper()[table]
     lines = [
-        f"**{reported['caption']}**: average episodic reward and performance P of RIL,",
+        f"**{reported['caption']}**: average episodic reward (AER) and performance P,",
         "mean ± standard deviation over seeds.",
         "",
-        "| RIL | " + " | ".join(ENVIRONMENTS.values()) + " | Average P |",
-        "|---" * (len(ENVIRONMENTS) + 2) + "|",
+        "| | | " + " | ".join(ENVIRONMENTS.values()) + " | Average P |",
+        "|---" * (len(ENVIRONMENTS) + 3) + "|",
     ]
-    ours, performances, notes, performance = [], [], [], []
-    for env, title in ENVIRONMENTS.items():
-        cell = fullest_run(candidates[candidates["env"] == env])
-        apart = ril.loc[(ril["env"] == env) & (ril["variant"] != ""), "run_id"].nunique()
-        if apart:
-            notes.append(f"- {title}: left out, since they set keys of their own: {apart} runs")
-        if cell.empty:
-            ours.append("not run")
-            performances.append("–")
-            notes.append(f"- {title} is not run: `ril-run env={env} method=ril`")
-            continue
-        seeds = "1 seed" if len(cell) == 1 else f"{len(cell)} seeds"
-        ours.append(f"{_spread(cell['aer'], 2)} ({seeds})")
-        performances.append(_spread(cell["performance"], 3))
-        performance.append(cell["performance"].mean())
-        short = [
-            f"{have} of {reported[what]} {what}"
-            for what, have in (("seeds", len(cell)), ("epochs", cell["epochs"].max()))
-            if have < reported[what]
+    notes: list[str] = []
+    for method, by_paper in reported["returns"].items():
+        of_method = rows[(rows["method"] == method.lower()) & (rows["seed"] < TUNING_SEEDS)]
+        candidates = of_method[in_setting(of_method, table)]
+        aer, performance, means, missing = [], [], [], []
+        for env, title in ENVIRONMENTS.items():
+            in_env = candidates[candidates["env"] == env]
+            notes += _left_out(of_method, method, env, title)
+            if in_env.empty:
+                aer.append("not run")
+                performance.append("–")
+                missing.append(env)
+                continue
+            cell = fullest_run(in_env)
+            seeds = "1 seed" if len(cell) == 1 else f"{len(cell)} seeds"
+            aer.append(f"{_spread(cell['aer'], 2)} ({seeds})")
+            performance.append(_spread(cell["performance"], 3))
+            means.append(cell["performance"].mean())
+            if short := shortfall(cell, table, method):
+                notes.append(f"- {method} on {title} was run with {' and '.join(short)}")
+            if (runs := in_env["run_id"].nunique()) > 1:
+                chosen = cell["run_id"].iloc[0]
+                notes.append(f"- {method} on {title}: {chosen}, the fullest of {runs} runs")
+        if missing:
+            notes.append(_not_run(method, missing, reported["setting"]["trajectories"]))
+        average = f"{sum(means) / 4:.3f}" if len(means) == 4 else "–"
+        by_environment = [number(by_paper[env]) for env in ENVIRONMENTS]
+        paper_average = number(reported["average_performance"][method])
+        lines += [
+            f"| **{method}** | AER, ours | " + " | ".join(aer) + " | |",
+            "| | AER, paper | " + " | ".join(by_environment) + " | |",
+            "| | P, ours | " + " | ".join(performance) + f" | {average} |",
+            "| | P, paper | " + " | " * 4 + f"{paper_average} |",
         ]
-        if short:
-            notes.append(f"- {title} was run with {' and '.join(short)}")
-        others = candidates.loc[candidates["env"] == env, "run_id"].nunique() - 1
-        if others:
-            run = cell["run_id"].iloc[0]
-            notes.append(f"- {title}: of {others + 1} runs, {run} is shown, the fullest")
-    average = f"{sum(performance) / 4:.3f}" if len(performance) == 4 else "–"
-    by_paper = [number(reported["returns"]["RIL"][env]) for env in ENVIRONMENTS]
-    paper_average = number(reported["average_performance"]["RIL"])
-    lines.append("| AER, ours | " + " | ".join(ours) + " | |")
-    lines.append("| AER, paper | " + " | ".join(by_paper) + " | |")
-    lines.append("| P, ours | " + " | ".join(performances) + f" | {average} |")
-    lines.append("| P, paper | " + " | " * 4 + f"{paper_average} |")
     return "\n".join(lines + (["", *notes] if notes else []))
+
+
+def _left_out(of_method: pd.DataFrame, method: str, env: str, title: str) -> list[str]:
+    """A line on runs of a cell that are not the method as it comes."""
+    apart = (of_method["env"] == env) & (of_method["variant"] != "")
+    count = of_method.loc[apart, "run_id"].nunique()
+    runs = "1 run" if count == 1 else f"{count} runs"
+    return [f"- {method} on {title}: {runs} with keys set apart left out"] if count else []
+
+
+def _not_run(method: str, environments: list[str], trajectories: int) -> str:
+    """The command that fills some cells."""
+    several = " -m" if len(environments) > 1 else ""
+    more = f" ablation.trajectories={trajectories}" if trajectories != 1 else ""
+    titles = ", ".join(ENVIRONMENTS[env] for env in environments)
+    command = f"ril-run{several} env={','.join(environments)} method={method.lower()}{more}"
+    return f"- {method} is not run on {titles}: `{command}`"
 
 
 def fullest_run(rows: pd.DataFrame) -> pd.DataFrame:

@@ -1,21 +1,39 @@
-"""S independent multilayer perceptrons as one: every tensor has a leading seed axis."""
+"""S independent networks as one: every tensor has a leading seed axis."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from ril.environments import Floats
 from ril.vectorized.streams import Streams
+
+Parameters = Mapping[str, Tensor]  # by name, each (S, rows, columns)
+
+
+class Architecture(Protocol):
+    """The shape of a network, and what it computes with given parameters; a dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def shapes(self) -> dict[str, tuple[int, int]]:
+        """(rows, columns) of every parameter, of one seed, by name."""
+
+    def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """(S, B, inputs) to (S, B, outputs)."""
 
 
 @dataclass(frozen=True)
-class Architecture:
-    """[Linear → self-attention → LayerNorm → LeakyReLU] per hidden layer, then Linear (§4.1).
+class MLP:
+    """[Linear → self-attention → LayerNorm → activation] per hidden layer, then Linear (§4.1).
 
     Attributes:
         inputs: features of one sample.
@@ -23,7 +41,7 @@ class Architecture:
         outputs: one per action.
         attention: whether a self-attention follows each hidden Linear.
         layer_norm: whether a LayerNorm follows it.
-        negative_slope: of LeakyReLU.
+        negative_slope: of LeakyReLU; None makes the activation tanh.
     """
 
     inputs: int
@@ -31,31 +49,63 @@ class Architecture:
     outputs: int
     attention: bool = True
     layer_norm: bool = True
-    negative_slope: float = 0.01
+    negative_slope: float | None = 0.01
 
     def shapes(self) -> dict[str, tuple[int, int]]:
         """(rows, columns) of every parameter, of one seed, by name."""
         shapes: dict[str, tuple[int, int]] = {}
         fan_in = self.inputs
         for layer, size in enumerate(self.hidden):
-            shapes[f"linear{layer}.weight"] = (fan_in, size)
-            shapes[f"linear{layer}.bias"] = (1, size)
+            shapes |= linear(f"linear{layer}", fan_in, size)
             if self.attention:
-                shapes[f"value{layer}.weight"] = (size, size)
-                shapes[f"value{layer}.bias"] = (1, size)
+                shapes |= linear(f"value{layer}", size, size)
                 shapes[f"value{layer}.gamma"] = (1, 1)
             if self.layer_norm:
                 shapes[f"norm{layer}.weight"] = (1, size)
                 shapes[f"norm{layer}.bias"] = (1, size)
             fan_in = size
-        shapes["output.weight"] = (fan_in, self.outputs)
-        shapes["output.bias"] = (1, self.outputs)
-        return shapes
+        return shapes | linear("output", fan_in, self.outputs)
 
-    @property
-    def parameter_count(self) -> int:
-        """Numbers in one seed's network."""
-        return sum(math.prod(shape) for shape in self.shapes().values())
+    def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """(S, B, inputs) to (S, B, outputs): logits, or Q-values, or both at once."""
+        p = parameters
+        for layer in range(len(self.hidden)):
+            x = apply_linear(p, f"linear{layer}", x)
+            if self.attention:
+                weight, bias = p[f"value{layer}.weight"], p[f"value{layer}.bias"]
+                x = self_attention(x, weight, bias, p[f"value{layer}.gamma"])
+            if self.layer_norm:
+                x = layer_norm(x, p[f"norm{layer}.weight"], p[f"norm{layer}.bias"])
+            if self.negative_slope is None:
+                x = x.tanh()
+            else:
+                x = functional.leaky_relu(x, self.negative_slope)
+        return apply_linear(p, "output", x)
+
+
+def linear(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, int]]:
+    """The shapes of one Linear layer's weight and bias."""
+    return {f"{name}.weight": (inputs, outputs), f"{name}.bias": (1, outputs)}
+
+
+def apply_linear(parameters: Parameters, name: str, x: Tensor) -> Tensor:
+    """One Linear layer: (S, B, inputs) to (S, B, outputs)."""
+    return affine(x, parameters[f"{name}.weight"], parameters[f"{name}.bias"])
+
+
+def affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Each seed's xW + b: (S, B, n), (S, n, m) and (S, 1, m) to (S, B, m).
+
+    Where n or m is 1, a zero is put beside it: torch would multiply by a vector, and then it
+    rounds otherwise for one seed alone than for several.
+    """
+    inputs, outputs = weight.shape[1:]
+    if inputs == 1:
+        x, weight = functional.pad(x, (0, 1)), functional.pad(weight, (0, 0, 0, 1))
+    if outputs == 1:
+        weight, bias = functional.pad(weight, (0, 1)), functional.pad(bias, (0, 1))
+        return torch.baddbmm(bias, x, weight)[..., :1]
+    return torch.baddbmm(bias, x, weight)
 
 
 def self_attention(x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor) -> Tensor:
@@ -70,12 +120,17 @@ def self_attention(x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor) -> Te
         bias: (S, 1, n) of the value projection.
         gamma: (S, 1, 1) how much of it is added; starts at 0.
     """
-    return torch.addcmul(x, gamma, torch.baddbmm(bias, x, weight))
+    return torch.addcmul(x, gamma, affine(x, weight, bias))
 
 
 def layer_norm(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """LayerNorm over the last axis of x (S, B, n); weight and bias (S, 1, n) are per seed."""
     return torch.addcmul(bias, functional.layer_norm(x, x.shape[-1:]), weight)
+
+
+def parameter_count(architecture: Architecture) -> int:
+    """Numbers in one seed's network."""
+    return sum(math.prod(shape) for shape in architecture.shapes().values())
 
 
 class Network:
@@ -111,9 +166,9 @@ class Network:
             device: where the parameters live.
         """
         streams = Streams(seeds, purpose)
-        flat = torch.zeros(len(seeds), architecture.parameter_count)
+        flat = torch.zeros(len(seeds), parameter_count(architecture))
         network = cls(architecture, flat)
-        fan_in = architecture.inputs
+        fan_in = 1
         with torch.no_grad():
             for name, parameter in network.parameters.items():
                 if name.endswith("weight") and not name.startswith("norm"):
@@ -126,17 +181,18 @@ class Network:
         return cls(architecture, flat.to(device))
 
     def __call__(self, x: Tensor) -> Tensor:
-        """(S, B, inputs) to (S, B, outputs): logits, or Q-values, or both at once."""
-        p, shape = self.parameters, self.architecture
-        for layer in range(len(shape.hidden)):
-            x = torch.baddbmm(p[f"linear{layer}.bias"], x, p[f"linear{layer}.weight"])
-            if shape.attention:
-                weight, bias = p[f"value{layer}.weight"], p[f"value{layer}.bias"]
-                x = self_attention(x, weight, bias, p[f"value{layer}.gamma"])
-            if shape.layer_norm:
-                x = layer_norm(x, p[f"norm{layer}.weight"], p[f"norm{layer}.bias"])
-            x = functional.leaky_relu(x, shape.negative_slope)
-        return torch.baddbmm(p["output.bias"], x, p["output.weight"])
+        """(S, B, inputs) to (S, B, outputs)."""
+        return self.architecture.forward(self.parameters, x)
+
+    @torch.no_grad()
+    def infer(self, observations: Floats) -> Tensor:
+        """(S·N, obs) scaled observations, one seed's side by side, to (S, N, outputs)."""
+        by_seed = torch.from_numpy(observations).to(self.flat.device)
+        return self(by_seed.view(len(self.flat), -1, observations.shape[-1]))
+
+    def greedy(self, observations: Floats) -> NDArray[np.int64]:
+        """Actions of the largest outputs: (S·N, obs) as for `infer`, to (S·N,)."""
+        return self.infer(observations).argmax(dim=-1).flatten().cpu().numpy()
 
     def copy(self) -> Network:
         """The same networks in a buffer of their own."""

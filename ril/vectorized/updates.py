@@ -18,14 +18,22 @@ class ClippedAdam:
         network: whose parameters it changes, in place.
         learning_rate: α of §4.1.
         gradient_clip: every entry of the gradient is cut to [−clip, clip]; None cuts nothing.
+        beta1: how slowly the mean of the gradients moves.
     """
 
-    BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+    BETA2, EPSILON = 0.999, 1e-8
 
-    def __init__(self, network: Network, learning_rate: float, gradient_clip: float | None) -> None:
+    def __init__(
+        self,
+        network: Network,
+        learning_rate: float,
+        gradient_clip: float | None = None,
+        beta1: float = 0.9,
+    ) -> None:
         self.network = network
         self.learning_rate = learning_rate
         self.gradient_clip = gradient_clip
+        self.beta1 = beta1
         self.steps = 0
         self.mean = torch.zeros_like(network.flat)
         self.square = torch.zeros_like(network.flat)
@@ -43,9 +51,9 @@ class ClippedAdam:
         if self.gradient_clip is not None:
             gradient.clamp_(-self.gradient_clip, self.gradient_clip)
         self.steps += 1
-        self.mean.lerp_(gradient, 1 - self.BETA1)
+        self.mean.lerp_(gradient, 1 - self.beta1)
         self.square.mul_(self.BETA2).addcmul_(gradient, gradient, value=1 - self.BETA2)
-        mean_scale = 1 - self.BETA1**self.steps
+        mean_scale = 1 - self.beta1**self.steps
         square_scale = math.sqrt(1 - self.BETA2**self.steps)
         denominator = self.square.sqrt().div_(square_scale).add_(self.EPSILON)
         self.network.flat.addcdiv_(self.mean, denominator, value=-self.learning_rate / mean_scale)

@@ -3,19 +3,18 @@ from __future__ import annotations
 import io
 
 import numpy as np
-import pytest
 import torch
 from references import Adam, copies_of, flat_of, random_network
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config import CloningConfig
-from ril.learners.cloning import Cloning, exploration_ratio
-from ril.vectorized.networks import Architecture, Network
+from ril.learners.cloning import Cloning
+from ril.schema import CloningConfig
+from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams
 
-ARCHITECTURE = Architecture(inputs=2, hidden=(8,), outputs=3)
+ARCHITECTURE = MLP(inputs=2, hidden=(8,), outputs=3)
 SEEDS = (0, 1)
 SAMPLES = 30
 
@@ -82,29 +81,3 @@ def test_a_saved_state_goes_on_alike() -> None:
     cloning.train(*expert())
     resumed.train(*expert())
     assert torch.equal(restored.flat, policy.flat)
-
-
-GRID = ((np.arange(1000) + 0.5) / 1000).astype(np.float32)[None]
-
-
-def test_a_certain_policy_does_not_explore() -> None:
-    logits = torch.tensor([0.0, 200.0, 0.0]).expand(1, 1000, 3)
-    assert exploration_ratio(logits, GRID).tolist() == [0.0]
-
-
-@pytest.mark.parametrize("actions", [2, 4, 5])
-def test_an_undecided_policy_explores_all_but_the_greedy_action(actions: int) -> None:
-    ratio = exploration_ratio(torch.zeros(1, 1000, actions), GRID)
-    assert ratio.tolist() == pytest.approx([1 - 1 / actions], abs=1e-3)
-
-
-def test_exploration_ratio_is_the_mass_beside_the_greedy_action() -> None:
-    probabilities = torch.tensor([0.1, 0.25, 0.65])
-    ratio = exploration_ratio(probabilities.log().expand(1, 1000, 3), GRID)
-    assert ratio.tolist() == pytest.approx([0.35], abs=2e-3)
-
-
-def test_exploration_ratio_is_of_each_seed() -> None:
-    logits = torch.tensor([[[0.0, 0.0]], [[200.0, 0.0]]]).expand(2, 1000, 2)
-    ratio = exploration_ratio(logits, np.concatenate((GRID, GRID)))
-    assert ratio.tolist() == pytest.approx([0.5, 0.0], abs=1e-3)

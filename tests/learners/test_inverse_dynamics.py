@@ -9,14 +9,15 @@ from references import Adam, copies_of, flat_of, random_network
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config import InverseDynamicsConfig
 from ril.learners.goal_sampler import Selection
-from ril.learners.inverse_dynamics import InverseDynamics, cross_entropy
-from ril.vectorized.networks import Architecture
+from ril.learners.inverse_dynamics import InverseDynamics
+from ril.schema import InverseDynamicsConfig
+from ril.vectorized.losses import cross_entropy
+from ril.vectorized.networks import MLP
 from ril.vectorized.replay import Batch, random_indices
 from ril.vectorized.streams import Streams
 
-ARCHITECTURE = Architecture(inputs=4, hidden=(8,), outputs=3)
+ARCHITECTURE = MLP(inputs=4, hidden=(8,), outputs=3)
 SEEDS = (0, 1)
 
 

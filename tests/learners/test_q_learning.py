@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 import torch
 from references import Adam, copies_of, flat_of, random_network
-from torch import Tensor
 from torch.nn import functional
 
-from ril.config import QLearningConfig
-from ril.learners.q_learning import QLearning, explore, sample_softmax, td_loss, td_targets
-from ril.vectorized.networks import Architecture, Network
+from ril.learners.q_learning import QLearning, td_loss, td_targets
+from ril.schema import QLearningConfig
+from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
 
-ARCHITECTURE = Architecture(inputs=2, hidden=(6,), outputs=3)
+ARCHITECTURE = MLP(inputs=2, hidden=(6,), outputs=3)
 SEEDS = (0, 1)
-BELOW_ONE = 1 - 2**-24  # the largest number that a stream's uniform numbers reach
 
 
 def batch_of(rewards: list[float], terminated: list[float], actions: list[int]) -> Batch:
@@ -60,66 +58,6 @@ def test_loss_is_of_each_seed() -> None:
     )
     values = torch.tensor([[[1.0, 0.0]], [[3.0, 0.0]]])
     assert td_loss(values, batch, torch.zeros(2, 1), "mse").tolist() == [1.0, 9.0]
-
-
-def test_softmax_samples_have_its_probabilities() -> None:
-    logits = torch.tensor([0.3, -1.0, 2.0, 0.0])
-    grid = (torch.arange(10_000) + 0.5) / 10_000
-    actions = sample_softmax(logits.expand(10_000, 4), grid)
-    shares = torch.bincount(actions, minlength=4) / 10_000
-    torch.testing.assert_close(shares, logits.softmax(dim=0), rtol=0, atol=2e-4)
-
-
-@pytest.mark.parametrize("size", [2, 3, 7, 18])
-def test_softmax_samples_are_actions_even_close_to_one(size: int) -> None:
-    logits = torch.randn(5_000, size, generator=torch.Generator().manual_seed(0))
-    # Rounding leaves some sums of probabilities below the number that is drawn.
-    assert (logits.softmax(dim=-1).cumsum(dim=-1)[:, -1] <= BELOW_ONE).any()
-    actions = sample_softmax(logits, torch.full((5_000,), BELOW_ONE))
-    assert (actions == size - 1).all()
-
-
-@pytest.mark.parametrize(("number", "likely"), [(0.0, 1), (0.5, 1), (BELOW_ONE, 1)])
-def test_softmax_samples_never_take_the_impossible(number: float, likely: int) -> None:
-    logits = torch.tensor([[-1000.0, 0.0, -1000.0]])
-    assert sample_softmax(logits, torch.tensor([number])).item() == likely
-
-
-LOGITS = torch.randn(2, 50, 3, generator=torch.Generator().manual_seed(1))
-UNIFORM = torch.rand(2, 2, 50, generator=torch.Generator().manual_seed(2))
-
-
-def explored(epsilon: list[float], kind: str) -> Tensor:
-    return explore(LOGITS, torch.tensor(epsilon), UNIFORM, kind)
-
-
-@pytest.mark.parametrize("kind", ["softmax", "uniform"])
-def test_without_epsilon_actions_are_greedy(kind: str) -> None:
-    assert torch.equal(explored([0.0, 0.0], kind), LOGITS.argmax(dim=-1))
-
-
-def test_with_epsilon_one_actions_are_softmax_samples() -> None:
-    assert torch.equal(explored([1.0, 1.0], "softmax"), sample_softmax(LOGITS, UNIFORM[1]))
-
-
-def test_with_epsilon_one_actions_are_uniform() -> None:
-    grid = ((torch.arange(600) + 0.5) / 600).expand(2, 1, 600)
-    actions = explore(torch.randn(1, 600, 3), torch.ones(1), grid, "uniform")
-    assert torch.bincount(actions.flatten()).tolist() == [200] * 3
-
-
-def test_epsilon_is_the_chance_to_explore() -> None:
-    whether = ((torch.arange(1000) + 0.5) / 1000)[None]
-    what = torch.full((1, 1000), BELOW_ONE)  # the last action
-    logits = torch.tensor([9.0, 0.0]).expand(1, 1000, 2)
-    actions = explore(logits, torch.tensor([0.3]), torch.stack((whether, what)), "uniform")
-    assert actions.sum().item() == 300
-
-
-def test_epsilon_is_of_each_seed() -> None:
-    actions, greedy = explored([0.0, 1.0], "softmax"), LOGITS.argmax(dim=-1)
-    assert torch.equal(actions[0], greedy[0])
-    assert not torch.equal(actions[1], greedy[1])
 
 
 def config(**changes: object) -> QLearningConfig:

@@ -1,24 +1,26 @@
 from __future__ import annotations
 
-import io
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.config import Config
-from ril.demonstrations import shipped_path
+from ril.demonstration_files import shipped_path
 from ril.evaluation import Evaluation
-from ril.learners.cloning import Cloning, exploration_ratio
+from ril.learners.cloning import Cloning
+from ril.learners.exploration import exploration_ratio, explore, sample_softmax
 from ril.learners.goal_sampler import select
 from ril.learners.inverse_dynamics import InverseDynamics
-from ril.learners.q_learning import QLearning, explore, sample_softmax
-from ril.methods.base import Progress, Task
+from ril.learners.q_learning import QLearning
+from ril.methods.base import Progress
 from ril.methods.ril import RIL
-from ril.vectorized.networks import Architecture, Network
+from ril.schema import Config
+from ril.task import Task
+from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.streams import Streams
@@ -40,31 +42,6 @@ def make(quick: Any, make_task: MakeTask) -> Callable[..., RIL]:
 
 def trained(method: RIL) -> list[Progress]:
     return list(method.train())
-
-
-def copied(state: Any) -> Any:
-    """A state as torch.save and the safe torch.load hand it on."""
-    buffer = io.BytesIO()
-    torch.save(state, buffer)
-    buffer.seek(0)
-    return torch.load(buffer, weights_only=True)
-
-
-def assert_equal_states(found: Any, expected: Any, where: str = "state") -> None:
-    """Bit for bit, tensors too."""
-    assert type(found) is type(expected), where
-    if isinstance(expected, Tensor):
-        assert torch.equal(found, expected), where
-    elif isinstance(expected, dict):
-        assert found.keys() == expected.keys(), where
-        for name in expected:
-            assert_equal_states(found[name], expected[name], f"{where}.{name}")
-    elif isinstance(expected, list):
-        assert len(found) == len(expected), where
-        for index, (one, other) in enumerate(zip(found, expected, strict=True)):
-            assert_equal_states(one, other, f"{where}[{index}]")
-    else:
-        assert found == expected, where
 
 
 # Sizes as in conf/, since which kernel multiplies depends on them.
@@ -106,8 +83,8 @@ def test_a_seeds_policy_does_not_depend_on_other_seeds(alone_and_among: Any) -> 
 
 def test_a_seeds_inverse_dynamics_do_not_depend_on_other_seeds(alone_and_among: Any) -> None:
     (alone, _), (among, _) = alone_and_among
-    found = among.inverse_dynamics.network.flat[1]
-    assert torch.equal(found, alone.inverse_dynamics.network.flat[0])
+    found = among.imitation.inverse_dynamics.network.flat[1]
+    assert torch.equal(found, alone.imitation.inverse_dynamics.network.flat[0])
 
 
 def test_a_seeds_progress_does_not_depend_on_other_seeds(alone_and_among: Any) -> None:
@@ -126,21 +103,15 @@ def test_seeds_differ(alone_and_among: Any) -> None:
     assert not torch.equal(among.policy.flat[0], among.policy.flat[1])
 
 
-def test_training_twice_gives_the_same(make: Any) -> None:
-    first, second = make(), make()
-    trained(first)
-    trained(second)
-    assert_equal_states(second.state_dict(), first.state_dict())
-
-
 def test_training_changes_everything_that_learns(make: Any) -> None:
     method = make()
     before = copied(method.state_dict())
     trained(method)
     after = method.state_dict()
     assert not torch.equal(after["policy"], before["policy"])
-    for name in ("inverse_dynamics", "cloning", "q_learning"):
-        assert after["parts"][name]["optimizer"]["steps"] > 0
+    imitation = after["parts"]["imitation"]["parts"]
+    for part in (imitation["inverse_dynamics"], imitation["cloning"], after["parts"]["q_learning"]):
+        assert part["optimizer"]["steps"] > 0
 
 
 LONG = ("method.epochs=6", "ablation.n=5", "method.stopping.patience=5")
@@ -182,7 +153,7 @@ def test_a_finished_state_has_nothing_left_to_train(make: Any) -> None:
 def networks(method: RIL, purpose: str, inputs: int) -> Network:
     """Fresh networks as RIL begins with."""
     shape, task = method.config.network, method.task
-    architecture = Architecture(
+    architecture = MLP(
         inputs, tuple(shape.hidden), task.environment.action_count, negative_slope=0.01
     )
     return Network.initialise(architecture, task.seeds, purpose, CPU)
@@ -243,9 +214,9 @@ def test_without_imitation_it_is_q_learning_alone(make: Any, kind: str) -> None:
 
 def test_without_imitation_nothing_is_imitated(make: Any) -> None:
     method = make("method.imitation=false")
-    before = copied(method.state_dict())["parts"]
+    before = copied(method.state_dict())["parts"]["imitation"]["parts"]
     trained(method)
-    after = method.state_dict()["parts"]
+    after = method.state_dict()["parts"]["imitation"]["parts"]
     for name in ("inverse_dynamics", "cloning", "pre", "stopping"):
         assert_equal_states(after[name], before[name], name)
 
@@ -315,7 +286,7 @@ def test_without_reinforcement_it_is_imitation_alone(make: Any) -> None:
     assert 0 < np.mean(goals[:-1]) < 1  # so that the goal sampler mixes I^pre and I^pos
     policy, dynamics = imitation_alone(method, epochs=8, n=4, goal=11)
     assert torch.equal(method.policy.flat, policy.flat)
-    assert torch.equal(method.inverse_dynamics.network.flat, dynamics.flat)
+    assert torch.equal(method.imitation.inverse_dynamics.network.flat, dynamics.flat)
 
 
 def test_without_reinforcement_no_q_learning_happens(make: Any) -> None:
@@ -336,7 +307,7 @@ def test_the_memory_holds_ten_mean_expert_trajectories(make: Any) -> None:
 def test_the_random_transitions_are_as_many_as_asked(make: Any) -> None:
     method = make("method.epochs=1")
     [progress] = trained(method)
-    assert method.pre.sizes.tolist() == [2 * 60, 2 * 60]  # |A| · pre_steps_per_action
+    assert method.imitation.pre.sizes.tolist() == [2 * 60, 2 * 60]  # |A| · pre_steps_per_action
     assert progress.pre_samples == 2 * 60
 
 
@@ -367,13 +338,13 @@ def test_expert_samples_count_the_expert_once_per_epoch(make: Any) -> None:
 def test_successes_are_kept(make: Any) -> None:
     method = make("env.goal.minimum_return=1")
     progress = trained(method)
-    assert method.pos.sizes.tolist() == np.minimum(progress[-1].env_samples, 120).tolist()
+    assert method.imitation.pos.sizes.tolist() == np.minimum(progress[-1].env_samples, 120).tolist()
 
 
 def test_failures_are_not(make: Any) -> None:
     method = make("env.goal.minimum_return=501")
     trained(method)
-    assert method.pos.sizes.tolist() == [0, 0]
+    assert method.imitation.pos.sizes.tolist() == [0, 0]
 
 
 def test_goals_are_the_share_of_successes(make: Any) -> None:
@@ -389,7 +360,9 @@ def test_an_epochs_memory_forgets_earlier_successes(make: Any) -> None:
         "method.goal_sampler.pre_steps_per_action=500",
     )
     *_, before_last, last = trained(method)
-    assert method.pos.sizes.tolist() == (last.env_samples - before_last.env_samples).tolist()
+    assert (
+        method.imitation.pos.sizes.tolist() == (last.env_samples - before_last.env_samples).tolist()
+    )
 
 
 def test_training_ends_after_its_epochs(make: Any) -> None:
@@ -414,12 +387,12 @@ def test_epsilon_is_otherwise_the_policys_own(make: Any) -> None:
     assert len(np.unique(found)) > 1
 
 
-def test_act_is_greedy_for_each_seed(make: Any) -> None:
+def test_the_policy_acts_greedily_for_each_seed(make: Any) -> None:
     method = make()
     observations = np.random.default_rng(0).normal(size=(2 * 5, 4)).astype(np.float32)
     values = method.policy(torch.from_numpy(observations).view(2, 5, 4))
     expected = values.argmax(dim=-1).flatten().tolist()
-    assert method.act(observations).tolist() == expected
+    assert method.policy.greedy(observations).tolist() == expected
     assert len(set(expected)) > 1
 
 
@@ -436,6 +409,6 @@ def test_it_learns_to_balance_the_pole(quick: Any, make_task: MakeTask) -> None:
     )
     method = RIL(config.method, make_task(config))
     evaluation = Evaluation(method.task.environment, method.task.seeds)
-    assert evaluation.returns(method.act, 10, "before").mean() < 50
+    assert evaluation.returns(method.policy, 10, "before").mean() < 50
     trained(method)
-    assert evaluation.returns(method.act, 10, "after").mean(axis=1).min() > 100
+    assert evaluation.returns(method.policy, 10, "after").mean(axis=1).min() > 100

@@ -8,18 +8,17 @@ import pytest
 
 from ril.report.cli import main
 from ril.report.paper import number, paper, paper_cell
-from ril.report.tables import fullest_run, table2
+from ril.report.tables import fullest_run, imitation_table
 from ril.results import Row, load_results
 
+METHODS = ("Random", "Expert", "BC", "GAIL", "ILPO", "IUPE", "RIL")
 HEAD = """\
-**One expert trajectory (Table 2)**: average episodic reward and performance P of RIL,
+**One expert trajectory (Table 2)**: average episodic reward (AER) and performance P,
 mean ± standard deviation over seeds.
 
-| RIL | CartPole | Acrobot | MountainCar | LunarLander | Average P |
-|---|---|---|---|---|---|
+| | | CartPole | Acrobot | MountainCar | LunarLander | Average P |
+|---|---|---|---|---|---|---|
 """
-PAPER = "| AER, paper | 500.00 ± 0.00 | -79.52 ± 4.49 | -100.29 ± 1.59 | 261.73 ± 9.91 | |\n"
-PAPER_P = "| P, paper |  |  |  |  | 1.04 ± 0.03 |"
 
 
 def rows(*cells: dict[str, object]) -> pd.DataFrame:
@@ -35,18 +34,33 @@ def rows(*cells: dict[str, object]) -> pd.DataFrame:
         "trajectories": 1,
         "expert_return": None,
         "epochs": 150,
+        "env_samples": 2_000_000,
         "aer": -105.0,
         "performance": 1.0,
     }
     return pd.DataFrame([usual | cell for cell in cells]).reindex(columns=list(Row.__annotations__))
 
 
-def our_cells(table: str) -> list[str]:
-    [line] = [line for line in table.splitlines() if line.startswith("| AER, ours")]
-    return [cell.strip() for cell in line.split("|")[2:-2]]
+def table2(rows: pd.DataFrame) -> str:
+    return imitation_table(rows, "table2")
 
 
-def test_the_whole_table() -> None:
+def line_of(table: str, method: str, number: int) -> str:
+    """One of a method's four lines: AER of ours and of the paper, P of ours and of the paper."""
+    lines = table.splitlines()
+    [first] = [i for i, line in enumerate(lines) if line.startswith(f"| **{method}** ")]
+    return lines[first + number]
+
+
+def our_cells(table: str, method: str = "RIL") -> list[str]:
+    return [cell.strip() for cell in line_of(table, method, 0).split("|")[3:-2]]
+
+
+def notes(table: str) -> list[str]:
+    return [line for line in table.splitlines() if line.startswith("- ")]
+
+
+def test_a_methods_lines() -> None:
     found = table2(
         rows(
             {"env": "cartpole", "run_id": "b", "aer": 500.0, "performance": 1.0},
@@ -58,47 +72,72 @@ def test_the_whole_table() -> None:
             {"env": "lunarlander", "run_id": "d", "seed": 2, "aer": 260.0, "performance": 1.1},
         )
     )
-    ours = (
-        "| AER, ours | 500.00 ± 0.00 (1 seed) | -81.25 ± 0.00 (1 seed) "
-        "| -102.00 ± 2.00 (2 seeds) | 240.00 ± 28.28 (3 seeds) | |\n"
-    )
-    performance = (
-        "| P, ours | 1.000 ± 0.000 | 1.005 ± 0.000 | 1.030 ± 0.020 | 1.000 ± 0.082 | 1.009 |\n"
-    )
-    notes = """
+    assert found.startswith(HEAD)
+    assert [line_of(found, "RIL", number) for number in range(4)] == [
+        "| **RIL** | AER, ours | 500.00 ± 0.00 (1 seed) | -81.25 ± 0.00 (1 seed) "
+        "| -102.00 ± 2.00 (2 seeds) | 240.00 ± 28.28 (3 seeds) | |",
+        "| | AER, paper | 500.00 ± 0.00 | -79.52 ± 4.49 | -100.29 ± 1.59 | 261.73 ± 9.91 | |",
+        "| | P, ours | 1.000 ± 0.000 | 1.005 ± 0.000 | 1.030 ± 0.020 | 1.000 ± 0.082 | 1.009 |",
+        "| | P, paper |  |  |  |  | 1.04 ± 0.03 |",
+    ]
+    assert notes(found)[-4:] == [
+        "- RIL on CartPole was run with 1 of 10 seeds",
+        "- RIL on Acrobot was run with 1 of 10 seeds",
+        "- RIL on MountainCar was run with 2 of 10 seeds",
+        "- RIL on LunarLander was run with 3 of 10 seeds",
+    ]
 
-- CartPole was run with 1 of 10 seeds
-- Acrobot was run with 1 of 10 seeds
-- MountainCar was run with 2 of 10 seeds
-- LunarLander was run with 3 of 10 seeds"""
-    assert found == HEAD + ours + PAPER + performance + PAPER_P + notes
+
+def test_every_method_of_the_table_has_its_lines() -> None:
+    found = table2(rows(*({"method": name.lower(), "run_id": name} for name in METHODS)))
+    for name in METHODS:
+        assert our_cells(found, name)[2] == "-105.00 ± 0.00 (1 seed)"
+
+
+def test_table_4_is_of_100_trajectories() -> None:
+    hundred = rows({"trajectories": 100, "aer": -99.0, "method": "bc", "k": None, "n": None})
+    assert our_cells(imitation_table(hundred, "table4"), "BC")[2] == "-99.00 ± 0.00 (1 seed)"
+    assert our_cells(table2(hundred), "BC")[2] == "not run"
 
 
 def test_as_many_seeds_and_epochs_as_the_papers_need_no_note() -> None:
     found = table2(rows(*({"seed": seed} for seed in range(10))))
-    assert "MountainCar was" not in found
+    assert "RIL on MountainCar was" not in found
 
 
-def test_fewer_epochs_than_the_papers_are_noted() -> None:
-    found = table2(rows(*({"seed": seed, "epochs": 20} for seed in range(10))))
-    assert "- MountainCar was run with 20 of 150 epochs\n" in found
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"epochs": 20}, "RIL on MountainCar was run with 20 of 150 epochs"),
+        (
+            {"method": "gail", "env_samples": 204_800},
+            "GAIL on MountainCar was run with 204,800 of 2,000,000 environment steps",
+        ),
+        ({"method": "ilpo", "epochs": 30}, "ILPO on MountainCar was run with 30 of 120 epochs"),
+    ],
+)
+def test_a_smaller_budget_is_noted(changes: dict[str, object], says: str) -> None:
+    found = table2(rows(*({"seed": seed} | changes for seed in range(10))))
+    assert f"- {says}" in notes(found)
 
 
 def test_what_is_not_run_names_its_command(tmp_path: Path) -> None:
     found = table2(load_results([tmp_path]))
-    assert found == (
-        HEAD
-        + "| AER, ours | not run | not run | not run | not run | |\n"
-        + PAPER
-        + "| P, ours | – | – | – | – | – |\n"
-        + PAPER_P
-        + """
+    assert our_cells(found) == ["not run"] * 4
+    everywhere = "cartpole,acrobot,mountaincar,lunarlander"
+    assert notes(found) == [
+        f"- {name} is not run on CartPole, Acrobot, MountainCar, LunarLander: "
+        f"`ril-run -m env={everywhere} method={name.lower()}`"
+        for name in METHODS
+    ]
 
-- CartPole is not run: `ril-run env=cartpole method=ril`
-- Acrobot is not run: `ril-run env=acrobot method=ril`
-- MountainCar is not run: `ril-run env=mountaincar method=ril`
-- LunarLander is not run: `ril-run env=lunarlander method=ril`"""
-    )
+
+def test_what_is_left_of_a_method_names_its_command() -> None:
+    environments = ("cartpole", "acrobot", "lunarlander")
+    found = rows(*({"env": env, "run_id": env, "trajectories": 100} for env in environments))
+    command = "`ril-run env=mountaincar method=ril ablation.trajectories=100`"
+    says = f"- RIL is not run on MountainCar: {command}"
+    assert says in notes(imitation_table(found, "table4"))
 
 
 @pytest.mark.parametrize(
@@ -125,7 +164,7 @@ def test_of_several_runs_the_one_with_most_seeds_is_shown_and_named() -> None:
         )
     )
     assert our_cells(found)[2] == "-105.00 ± 0.00 (2 seeds)"
-    assert "- MountainCar: of 2 runs, many is shown, the fullest" in found
+    assert "- RIL on MountainCar: many, the fullest of 2 runs" in notes(found)
 
 
 def test_of_runs_with_equally_many_seeds_the_longest_is_the_fullest() -> None:
@@ -161,13 +200,38 @@ def test_the_papers_numbers_are_its_own(method: str) -> None:
     assert (*found, number(reported["average_performance"][method])) == TABLE_2[method]
 
 
-def test_a_rows_cell_in_the_paper() -> None:
-    assert paper_cell(rows({}).iloc[0]) == "-100.29 ± 1.59 (One expert trajectory (Table 2))"
+# Table 4 of the paper, its imitation half: AER of each method, and its average performance.
+TABLE_4 = {
+    "BC": ("500.00 ± 0.00", "-82.92 ± 2.63", "-99.69 ± 0.69", "214.93 ± 5.56", "1.01"),
+    "GAIL": ("500.00 ± 0.00", "-83.12 ± 20.95", "-186.74 ± 0.65", "83.56 ± 65.26", "0.70"),
+    "ILPO": ("500.00 ± 0.00", "-83.84 ± 2.50", "-177.56 ± 27.77", "-421.62 ± 180.41", "0.42"),
+    "IUPE": ("500.00 ± 0.00", "-78.10 ± 10.56", "-130.70 ± 15.23", "-211.20 ± 40.77", "0.67"),
+    "RIL": ("500.00 ± 0.00", "-75.72 ± 4.49", "-100.37 ± 2.50", "266.55 ± 19.34", "1.04"),
+}
 
 
-def test_a_shorter_rows_cell_in_the_paper_says_so() -> None:
-    assert paper_cell(rows({"epochs": 20}).iloc[0]) == (
-        "-100.29 ± 1.59 after 150 epochs (One expert trajectory (Table 2))"
+@pytest.mark.parametrize("method", TABLE_4)
+def test_the_papers_numbers_of_100_trajectories_are_its_own(method: str) -> None:
+    reported = paper()["table4"]
+    names = ("cartpole", "acrobot", "mountaincar", "lunarlander")
+    found = [number(reported["returns"][method][env]) for env in names]
+    assert (*found, number(reported["average_performance"][method])) == TABLE_4[method]
+
+
+def test_a_cell_in_the_paper() -> None:
+    whole = rows(*({"seed": seed} for seed in range(10)))
+    assert paper_cell(whole) == "-100.29 ± 1.59 (One expert trajectory (Table 2))"
+
+
+def test_a_cell_of_a_method_without_equation_2() -> None:
+    whole = rows(*({"seed": seed, "method": "bc", "k": None, "n": None} for seed in range(10)))
+    assert paper_cell(whole) == "-129.92 ± 4.14 (One expert trajectory (Table 2))"
+
+
+def test_a_smaller_cell_than_the_papers_says_so() -> None:
+    assert paper_cell(rows({"epochs": 20}, {"epochs": 20, "seed": 1})) == (
+        "-100.29 ± 1.59 (One expert trajectory (Table 2); "
+        "this was 2 of 10 seeds and 20 of 150 epochs)"
     )
 
 
@@ -175,8 +239,8 @@ def test_a_shorter_rows_cell_in_the_paper_says_so() -> None:
     "changes",
     [{"k": 3.0}, {"env": "hill"}, {"expert_return": -140.0}, {"variant": "method.episodes=2"}],
 )
-def test_a_row_without_a_cell_in_the_paper(changes: dict[str, object]) -> None:
-    assert paper_cell(rows(changes).iloc[0]) is None
+def test_a_cell_that_is_not_in_the_paper(changes: dict[str, object]) -> None:
+    assert paper_cell(rows(changes)) is None
 
 
 def report(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
@@ -207,7 +271,7 @@ def test_the_command_needs_no_runs_yet(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     report(monkeypatch, "table2")
-    assert capsys.readouterr().out.count("is not run: `ril-run env=") == 4
+    assert len(notes(capsys.readouterr().out)) == len(METHODS)
 
 
 def test_a_table_that_is_not_there_is_refused_in_one_line(
@@ -224,4 +288,4 @@ def test_rows_of_tuning_seeds_are_not_reported() -> None:
 
 def test_runs_that_set_keys_of_their_own_are_counted() -> None:
     found = table2(rows({"variant": "method.episodes=2"}))
-    assert "- MountainCar: left out, since they set keys of their own: 1 runs\n" in found
+    assert "- RIL on MountainCar: 1 run with keys set apart left out" in notes(found)

@@ -9,21 +9,21 @@ from hypothesis import strategies as st
 from references import SelfAttention, copies_of, flat_of, gradients_of, random_network
 from torch import nn
 
-from ril.vectorized.networks import Architecture, Network, layer_norm, self_attention
+from ril.vectorized.networks import MLP, Network, layer_norm, parameter_count, self_attention
 
 CPU = torch.device("cpu")
-FULL = Architecture(inputs=3, hidden=(8, 5), outputs=2)
+FULL = MLP(inputs=3, hidden=(8, 5), outputs=2)
 PLAIN = dataclasses.replace(FULL, attention=False, layer_norm=False)
 S, B = 3, 7
 
 architectures = st.builds(
-    Architecture,
+    MLP,
     inputs=st.integers(1, 5),
     hidden=st.lists(st.integers(1, 6), max_size=3).map(tuple),
     outputs=st.integers(1, 4),
     attention=st.booleans(),
     layer_norm=st.booleans(),
-    negative_slope=st.sampled_from([0.0, 0.01, 0.3]),
+    negative_slope=st.sampled_from([0.0, 0.01, 0.3, None]),
 )
 
 
@@ -31,7 +31,7 @@ def inputs(size: int, *, rows: int = B) -> torch.Tensor:
     return torch.randn(S, rows, size, generator=torch.Generator().manual_seed(1))
 
 
-def assert_like_modules(architecture: Architecture) -> None:
+def assert_like_modules(architecture: MLP) -> None:
     network, x = random_network(architecture, S), inputs(architecture.inputs)
     expected = [module(rows) for module, rows in zip(copies_of(network), x, strict=True)]
     torch.testing.assert_close(network(x), torch.stack(expected))
@@ -44,6 +44,10 @@ def test_linear_is_linear_of_each_seed() -> None:
 @pytest.mark.parametrize("slope", [0.0, 0.01, 0.2])
 def test_leaky_relu_has_the_slope_of_the_architecture(slope: float) -> None:
     assert_like_modules(dataclasses.replace(PLAIN, negative_slope=slope))
+
+
+def test_without_a_slope_the_activation_is_tanh() -> None:
+    assert_like_modules(dataclasses.replace(PLAIN, negative_slope=None))
 
 
 def test_layer_norm_is_layer_norm_of_each_seed() -> None:
@@ -94,19 +98,19 @@ def test_value_gradient_is_that_of_full_attention() -> None:
 
 
 @given(architectures)
-def test_network_is_its_modules_of_each_seed(architecture: Architecture) -> None:
+def test_network_is_its_modules_of_each_seed(architecture: MLP) -> None:
     assert_like_modules(architecture)
 
 
 @given(architectures)
-def test_gradient_is_that_of_each_seeds_modules(architecture: Architecture) -> None:
+def test_gradient_is_that_of_each_seeds_modules(architecture: MLP) -> None:
     network, x = random_network(architecture, S), inputs(architecture.inputs)
     expected = []
     for module, rows in zip(copies_of(network), x, strict=True):
         module(rows).square().mean().backward()
         expected.append(flat_of(module, gradients=True))
     found = gradients_of(network, network(x).square().mean(dim=(1, 2)))
-    torch.testing.assert_close(found, torch.stack(expected), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(found, torch.stack(expected), rtol=1e-3, atol=1e-4)
 
 
 def test_no_seed_reaches_another() -> None:
@@ -120,10 +124,26 @@ def test_no_seed_reaches_another() -> None:
     assert not torch.equal(before[1], after[1])
 
 
+# One of a size is where torch multiplies by a vector, and rounds otherwise than by a matrix.
+@pytest.mark.parametrize("rows", [1, 2, 7, 32, 256])
+@pytest.mark.parametrize("size", [1, 2, 8, 100])
+@pytest.mark.parametrize("outputs", [1, 2, 4, 100])
+def test_a_seeds_numbers_do_not_depend_on_other_seeds(rows: int, size: int, outputs: int) -> None:
+    among = random_network(MLP(size, (), outputs), S)
+    alone, x = Network(among.architecture, among.flat[1:2].clone()), inputs(size, rows=rows)
+    values = [network(part) for network, part in ((among, x), (alone, x[1:2]))]
+    assert torch.equal(values[0][1], values[1][0])
+    gradients = [
+        gradients_of(network, found.square().sum(dim=(1, 2)))
+        for network, found in zip((among, alone), values, strict=True)
+    ]
+    assert torch.equal(gradients[0][1], gradients[1][0])
+
+
 @given(architectures)
-def test_parameter_count_is_that_of_the_modules(architecture: Architecture) -> None:
+def test_parameter_count_is_that_of_the_modules(architecture: MLP) -> None:
     reference = copies_of(random_network(architecture, 1))[0]
-    assert architecture.parameter_count == flat_of(reference).numel()
+    assert parameter_count(architecture) == flat_of(reference).numel()
 
 
 def test_parameters_are_views_of_the_flat_buffer() -> None:

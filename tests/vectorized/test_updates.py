@@ -7,10 +7,10 @@ import torch
 from references import Adam, copies_of, flat_of, gradients_of, random_network
 from torch import Tensor
 
-from ril.vectorized.networks import Architecture, Network
+from ril.vectorized.networks import MLP, Network
 from ril.vectorized.updates import ClippedAdam
 
-ARCHITECTURE = Architecture(inputs=3, hidden=(6, 4), outputs=2)
+ARCHITECTURE = MLP(inputs=3, hidden=(6, 4), outputs=2)
 S, STEPS = 3, 8
 
 

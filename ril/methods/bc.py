@@ -1,0 +1,65 @@
+"""Behavioural cloning (Pomerleau, 1988): the policy learns the expert's true actions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+
+from ril.demonstrations import LabelledTransitions
+from ril.learners.cloning import Cloning
+from ril.learners.imitation import mlp
+from ril.methods.base import Progress
+from ril.schema import BCConfig
+from ril.task import Task
+from ril.vectorized.networks import Network
+from ril.vectorized.streams import Streams
+
+
+class BC:
+    """S policies cloned from one expert; RIL's line 9 with true labels, and nothing else.
+
+    Args:
+        config: `method` of the configuration.
+        task: environment, the expert's states and actions, seeds.
+    """
+
+    def __init__(self, config: BCConfig, task: Task) -> None:
+        assert isinstance(task.expert, LabelledTransitions)
+        self.epochs = config.epochs
+        environment, seeds = task.environment, task.seeds
+        topology = mlp(config.network, environment.observation_size, environment.action_count)
+        self.policy = Network.initialise(topology, seeds, "policy", task.device)
+        self.cloning = Cloning(self.policy, config.cloning, Streams(seeds, "cloning batches"))
+        self._states = torch.from_numpy(task.expert.observations).to(task.device)
+        actions = torch.from_numpy(task.expert.actions).to(task.device)
+        self._actions = actions.expand(len(seeds), -1)
+        self.epoch = 0
+
+    def train(self) -> Iterator[Progress]:
+        """Minibatch steps of cross-entropy; yields after each epoch."""
+        seeds = len(self._actions)
+        while self.epoch < self.epochs:
+            self.epoch += 1
+            loss = self.cloning.train(self._states, self._actions)
+            yield Progress(
+                self.epoch,
+                env_samples=np.zeros(seeds, dtype=np.int64),
+                expert_samples=np.full(seeds, self.epoch * len(self._states)),
+                pre_samples=0,
+                stopped=np.zeros(seeds, dtype=bool),
+                metrics={"cloning_loss": loss.double().cpu().numpy()},
+            )
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next epoch depends on."""
+        cloning = self.cloning.state_dict()
+        return {"epoch": self.epoch, "policy": self.policy.flat, "cloning": cloning}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.epoch = state["epoch"]
+        self.policy.flat.copy_(state["policy"])
+        self.cloning.load_state_dict(state["cloning"])

@@ -1,0 +1,97 @@
+"""Generative Adversarial Imitation Learning (Ho & Ermon, 2016), with PPO as its policy step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+
+from ril.demonstrations import LabelledTransitions
+from ril.learners.discriminator import Discriminator, state_action_pairs
+from ril.learners.ppo import PPOAgent, actor_topology
+from ril.methods.base import Progress
+from ril.schema import GAILConfig
+from ril.task import Task
+from ril.vectorized.networks import MLP, Network
+from ril.vectorized.streams import Streams
+
+
+class GAIL:
+    """S policies, each paid by a discriminator that tells its pairs (s, a) from the expert's.
+
+    Args:
+        config: `method` of the configuration.
+        task: environment, the expert's states and actions, seeds.
+    """
+
+    def __init__(self, config: GAILConfig, task: Task) -> None:
+        assert isinstance(task.expert, LabelledTransitions)
+        environment, seeds = task.environment, task.seeds
+        self.round_steps = config.ppo.n_envs * config.ppo.n_steps
+        self.epochs = math.ceil(config.total_timesteps / self.round_steps)
+        self.agents = [PPOAgent(config.ppo, environment, seed) for seed in seeds]
+        topology = actor_topology(config.ppo, environment)
+        flat = torch.stack([agent.actor() for agent in self.agents]).to(task.device)
+        self.policy = Network(topology, flat)
+        features = environment.observation_size + environment.action_count
+        hidden = tuple(config.discriminator.hidden)
+        shape = MLP(features, hidden, 1, attention=False, layer_norm=False, negative_slope=None)
+        self.discriminator = Discriminator(
+            Network.initialise(shape, seeds, "discriminator", task.device),
+            config.discriminator,
+            Streams(seeds, "discriminator batches"),
+        )
+        self._actions = environment.action_count
+        self._device = task.device
+        states, actions = map(torch.from_numpy, (task.expert.observations, task.expert.actions))
+        self._expert = state_action_pairs(states, actions, self._actions).to(task.device)
+        self.epoch = 0
+
+    def train(self) -> Iterator[Progress]:
+        """Rounds of one rollout each (their Algorithm 1, with its line numbers)."""
+        seeds = len(self.agents)
+        while self.epoch < self.epochs:  # line 2
+            self.epoch += 1
+            rollouts = [agent.collect() for agent in self.agents]  # line 3
+            observations, actions = (
+                torch.from_numpy(np.stack(part)).to(self._device)
+                for part in zip(*rollouts, strict=True)
+            )
+            pairs = state_action_pairs(observations, actions, self._actions)
+            metrics = self.discriminator.train(self._expert, pairs)  # line 4
+            rewards = self.discriminator.rewards(pairs).cpu().numpy()
+            for agent, reward in zip(self.agents, rewards, strict=True):
+                agent.improve(reward)  # line 5
+            metrics["imitation_reward"] = rewards.mean(axis=1, dtype=np.float64)
+            self._export()
+            yield Progress(
+                self.epoch,
+                env_samples=np.full(seeds, self.epoch * self.round_steps),
+                expert_samples=np.full(seeds, self.epoch * len(self._expert)),
+                pre_samples=0,
+                stopped=np.zeros(seeds, dtype=bool),
+                metrics=metrics,
+            )
+
+    def _export(self) -> None:
+        """Have `policy` act as the agents would."""
+        self.policy.flat.copy_(torch.stack([agent.actor() for agent in self.agents]))
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next round depends on."""
+        return {
+            "epoch": self.epoch,
+            "discriminator": self.discriminator.state_dict(),
+            "agents": [agent.state_dict() for agent in self.agents],
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.epoch = state["epoch"]
+        self.discriminator.load_state_dict(state["discriminator"])
+        for agent, saved in zip(self.agents, state["agents"], strict=True):
+            agent.load_state_dict(saved)
+        self._export()

@@ -1,0 +1,199 @@
+"""Imitating Latent Policies from Observation (Edwards et al., 2019)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ril.environments import Environment
+from ril.errors import UserError
+from ril.learners.exploration import explore
+from ril.learners.latent_policy import (
+    ActionRemapping,
+    LatentDynamics,
+    LatentPolicy,
+    latent_loss,
+    nearest_latents,
+)
+from ril.methods.base import Progress
+from ril.schema import ILPOConfig
+from ril.task import Task
+from ril.vectorized.losses import cross_entropy
+from ril.vectorized.networks import Network, parameter_count
+from ril.vectorized.replay import random_indices
+from ril.vectorized.stepping import SteppedEnvironments
+from ril.vectorized.streams import Streams
+from ril.vectorized.updates import ClippedAdam
+
+
+class ILPO:
+    """S agents that learn a latent policy from the expert's states, then what its actions are.
+
+    Args:
+        config: `method` of the configuration.
+        task: environment, expert states, seeds.
+    """
+
+    def __init__(self, config: ILPOConfig, task: Task) -> None:
+        latent, remapping = config.latent_policy, config.remapping
+        if len(latent.encoder) != 2 or len(remapping.hidden) != 2:
+            raise UserError(
+                "method.latent_policy.encoder, method.remapping.hidden: need two layers each"
+            )
+        if remapping.steps % remapping.steps_per_epoch:
+            raise UserError(
+                f"method.remapping.steps={remapping.steps}: must be a multiple of "
+                f"method.remapping.steps_per_epoch={remapping.steps_per_epoch}"
+            )
+        self.config = config
+        self.task = task
+        self.epochs = config.epochs + remapping.steps // remapping.steps_per_epoch
+        environment, seeds = task.environment, task.seeds
+        size, actions = environment.observation_size, environment.action_count
+        latents = latent.latents or actions
+        encoder = (latent.encoder[0], latent.encoder[1])
+        hidden = (remapping.hidden[0], remapping.hidden[1])
+        self._architecture = LatentDynamics(
+            size, latents, encoder, latent.generator, latent.negative_slope
+        )
+        remap = ActionRemapping(size, latents, actions, encoder, hidden, latent.negative_slope)
+
+        whole = LatentPolicy(self._architecture, remap)
+        self.policy = Network.initialise(whole, seeds, "policy", task.device)
+        border = parameter_count(self._architecture)  # both halves are views of the policy
+        self.dynamics = Network(self._architecture, self.policy.flat[:, :border])
+        self.remapping = Network(remap, self.policy.flat[:, border:])
+        self._latent_optimizer = ClippedAdam(
+            self.dynamics, latent.learning_rate, beta1=latent.beta1
+        )
+        self._remapping_optimizer = ClippedAdam(self.remapping, remapping.learning_rate)
+
+        self._states = torch.from_numpy(task.expert.observations).to(task.device)
+        following = torch.from_numpy(task.expert.next_observations).to(task.device)
+        self._unit = _unit_of_changes(latent.changes, environment, following - self._states)
+        self._changes = (following - self._states) * self._unit
+        self.environments = SteppedEnvironments(environment, seeds, 1, "remapping")
+        shape = (len(seeds), remapping.steps)
+        self._seen = torch.zeros(*shape, size + latents, device=task.device)
+        self._taken = torch.zeros(shape, dtype=torch.int64, device=task.device)
+        self._streams = {
+            purpose: Streams(seeds, purpose)
+            for purpose in ("latent batches", "remapping exploration", "remapping batches")
+        }
+        self.epoch = 0
+        self.steps = 0
+
+    def train(self) -> Iterator[Progress]:
+        """First the latent policy, then the remapping; yields after each epoch."""
+        seeds = len(self.task.seeds)
+        while self.epoch < self.epochs:
+            self.epoch += 1
+            imitating = self.epoch <= self.config.epochs
+            if imitating:
+                metrics = {"latent_loss": self._learn_latent_policy()}
+            else:
+                metrics = {"remapping_loss": self._learn_remapping()}
+            expert_epochs = min(self.epoch, self.config.epochs)
+            yield Progress(
+                self.epoch,
+                env_samples=np.full(seeds, self.steps),
+                expert_samples=np.full(seeds, expert_epochs * len(self._states)),
+                pre_samples=0,
+                stopped=np.zeros(seeds, dtype=bool),
+                metrics={name: loss.double().cpu().numpy() for name, loss in metrics.items()},
+                can_act=not imitating,
+            )
+
+    def _learn_latent_policy(self) -> Tensor:
+        """Minibatch steps on the expert's states; (S,) mean loss."""
+        config, architecture = self.config.latent_policy, self._architecture
+        uniform = self._streams["latent batches"].uniform(config.updates, config.batch_size)
+        sizes = np.full(len(self.task.seeds), len(self._states))
+        indices = random_indices(uniform, sizes).to(self._states.device)
+        total = torch.zeros(len(sizes), device=self._states.device)
+        for chosen in indices.unbind(dim=1):
+            predictions = architecture.predict(self.dynamics.parameters, self._states[chosen])
+            losses = latent_loss(predictions, self._changes[chosen])
+            self._latent_optimizer.step(losses)
+            total += losses.detach()
+        return total / config.updates
+
+    def _learn_remapping(self) -> Tensor:
+        """Steps in the environment, an update after each; (S,) mean loss."""
+        config, device = self.config.remapping, self._seen.device
+        steps, seeds = config.steps_per_epoch, len(self.task.seeds)
+        exploring = torch.from_numpy(
+            self._streams["remapping exploration"].uniform(steps, 2, 1)
+        ).to(device)
+        batches = self._streams["remapping batches"].uniform(steps, config.batch_size)
+        epsilon = torch.full((seeds,), config.epsilon, device=device)
+        total = torch.zeros(seeds, device=device)
+        for step in range(steps):
+            self._act(exploring[:, step].transpose(0, 1), epsilon)
+            sizes = np.full(seeds, self.steps)
+            chosen = random_indices(batches[:, step], sizes).to(device)
+            rows = torch.arange(seeds, device=device)[:, None]
+            logits = self.remapping(self._seen[rows, chosen])
+            losses = cross_entropy(logits, self._taken[rows, chosen])
+            self._remapping_optimizer.step(losses)
+            total += losses.detach()
+        return total / steps
+
+    @torch.no_grad()
+    def _act(self, uniform: Tensor, epsilon: Tensor) -> None:
+        """One step of each seed; what was seen is the latent action that explains it best."""
+        observations = self.environments.observations
+        actions = explore(self.policy.infer(observations), epsilon, uniform, "uniform")
+        step = self.environments.step(actions.flatten().cpu().numpy())
+        before = torch.from_numpy(observations).to(actions.device)[:, None]
+        after = torch.from_numpy(step.next_observations).to(actions.device)[:, None]
+        predictions = self._architecture.predict(self.dynamics.parameters, before)
+        latents = nearest_latents(predictions, (after - before) * self._unit)
+        one_hot = functional.one_hot(latents, self._architecture.latents).to(before)
+        self._seen[:, self.steps] = torch.cat((before, one_hot), dim=-1)[:, 0]
+        self._taken[:, self.steps] = actions[:, 0]
+        self.steps += 1
+
+    def _stateful(self) -> dict[str, Any]:
+        """The parts that keep state of their own, by name."""
+        return {
+            "latent_optimizer": self._latent_optimizer,
+            "remapping_optimizer": self._remapping_optimizer,
+            "environments": self.environments,
+            **self._streams,
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next epoch depends on."""
+        return {
+            "epoch": self.epoch,
+            "steps": self.steps,
+            "policy": self.policy.flat,
+            "seen": self._seen,
+            "taken": self._taken,
+            "parts": {name: part.state_dict() for name, part in self._stateful().items()},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.epoch, self.steps = state["epoch"], state["steps"]
+        self.policy.flat.copy_(state["policy"])
+        self._seen.copy_(state["seen"])
+        self._taken.copy_(state["taken"])
+        for name, part in self._stateful().items():
+            part.load_state_dict(state["parts"][name])
+
+
+def _unit_of_changes(name: str, environment: Environment, changes: Tensor) -> Tensor:
+    """(obs,) by what scaled changes (M, obs) are multiplied before they are predicted (L2)."""
+    if name == "raw":
+        return torch.from_numpy((environment.high - environment.low) / 2).to(changes)
+    if name == "standardised":
+        deviation = changes.std(dim=0)
+        return torch.where(deviation > 0, 1 / deviation, torch.ones_like(deviation))
+    return torch.ones_like(changes[0])

@@ -1,0 +1,34 @@
+"""States of learners: what `state_dict` gives, as a checkpoint hands it on."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+def copied(state: Any) -> Any:
+    """A state as torch.save and the safe torch.load hand it on."""
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    buffer.seek(0)
+    return torch.load(buffer, weights_only=True)
+
+
+def assert_equal_states(found: Any, expected: Any, where: str = "state") -> None:
+    """Bit for bit, tensors too."""
+    assert type(found) is type(expected), where
+    if isinstance(expected, Tensor):
+        assert torch.equal(found, expected), where
+    elif isinstance(expected, dict):
+        assert found.keys() == expected.keys(), where
+        for name in expected:
+            assert_equal_states(found[name], expected[name], f"{where}.{name}")
+    elif isinstance(expected, list):
+        assert len(found) == len(expected), where
+        for index, (one, other) in enumerate(zip(found, expected, strict=True)):
+            assert_equal_states(one, other, f"{where}[{index}]")
+    else:
+        assert found == expected, where
