@@ -38,7 +38,8 @@ def demonstrations_path(config: Config) -> Path:
     path = shipped_path(name)
     if not path.is_file():
         key = "demonstrations=null" if level is None else f"ablation.expert_return={level:g}"
-        shipped = ", ".join(sorted(file.stem for file in path.parent.glob("*.npz")))
+        every = sorted(file.stem for file in path.parent.glob("*.npz"))
+        shipped = ", ".join([each for each in every if each.startswith(config.env.name)] or every)
         raise UserError(f"{key}: none ship for {name} (only {shipped}); give demonstrations=PATH")
     return path
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -71,17 +71,20 @@ def save_policies(
     write_tensors(path, content)
 
 
-def _described(architecture: Any) -> dict[str, Any]:
+def _described(architecture: Architecture) -> dict[str, Any]:
     """An architecture as plain values; those that it is made of, too."""
-    values = {field.name: getattr(architecture, field.name) for field in fields(architecture)}
-    plain = {k: _described(v) if is_dataclass(v) else v for k, v in values.items()}
-    return {"kind": type(architecture).__name__, **plain}
+    plain: dict[str, Any] = {"kind": type(architecture).__name__}
+    for field in fields(architecture):
+        value = getattr(architecture, field.name)
+        plain[field.name] = _described(value) if type(value).__name__ in _ARCHITECTURES else value
+    return plain
 
 
-def _built(description: dict[str, Any]) -> Any:
+def _built(description: dict[str, Any]) -> Architecture:
     """The architecture of a description."""
+    kind: str = description.get("kind", "MLP")  # which early files do not say
     values = {k: _built(v) if isinstance(v, dict) else v for k, v in description.items()}
-    kind = values.pop("kind", "MLP")
+    values.pop("kind", None)
     return _ARCHITECTURES[kind](**values)
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ from references import copies_of, random_network
 
 from ril.environments import Environment
 from ril.errors import UserError
+from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.policy import load_policy, save_policies
 from ril.record import Record
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.networks import MLP, Architecture, Network
 
 ARCHITECTURE = MLP(inputs=4, hidden=(6,), outputs=2)
 SEEDS = (3, 8)
@@ -43,6 +45,43 @@ def test_a_loaded_policy_is_the_seeds_network_on_scaled_observations(
     expected = module(torch.from_numpy(cartpole.scale(RAW))).detach().numpy()
     found = load_policy(saved, seed, which).values(RAW)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+
+
+KINDS = [
+    dataclasses.replace(ARCHITECTURE, layer_norm=False, negative_slope=None),
+    LatentPolicy(
+        LatentDynamics(4, 3, encoder=(5, 6), generator=7, negative_slope=0.1),
+        ActionRemapping(4, 3, 2, encoder=(5, 6), hidden=(8, 9), negative_slope=0.3),
+    ),
+]
+
+
+@pytest.mark.parametrize("architecture", KINDS)
+def test_a_policy_of_any_architecture_is_loaded_as_it_was_saved(
+    tmp_path: Path, cartpole: Environment, architecture: Architecture
+) -> None:
+    network = random_network(architecture, 2)
+    save_policies(tmp_path / "policy.pt", cartpole, architecture, Record(SEEDS, network.flat))
+    expected = network.infer(np.concatenate([cartpole.scale(RAW)] * 2)).numpy()
+    for index, seed in enumerate(SEEDS):
+        found = load_policy(tmp_path / "policy.pt", seed).values(RAW)
+        np.testing.assert_allclose(found, expected[index], rtol=1e-4, atol=1e-4)
+
+
+def test_a_policy_of_no_known_architecture_is_refused(saved: Path) -> None:
+    content = torch.load(saved, weights_only=True)
+    content["architecture"]["kind"] = "Oracle"
+    torch.save(content, saved)
+    with pytest.raises(UserError, match=r"policy\.pt: not a policy that ril saved"):
+        load_policy(saved, 3)
+
+
+def test_a_file_that_does_not_name_its_architecture_is_of_an_mlp(saved: Path) -> None:
+    expected = load_policy(saved, 3).values(RAW)
+    content = torch.load(saved, weights_only=True)
+    del content["architecture"]["kind"]
+    torch.save(content, saved)
+    np.testing.assert_array_equal(load_policy(saved, 3).values(RAW), expected)
 
 
 def test_predict_takes_the_best_value(saved: Path) -> None:

@@ -20,6 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
 from ril.environments import Environment, Floats
+from ril.errors import UserError
 from ril.schema import PPOConfig
 from ril.vectorized.networks import MLP
 from ril.vectorized.rollout import Integers
@@ -48,9 +49,18 @@ class PPOAgent:
         config: hyperparameters.
         environment: the task; the agent sees scaled observations.
         seed: of networks, actions, minibatches and episodes.
+
+    Raises:
+        UserError: minibatches do not fit into a rollout.
     """
 
     def __init__(self, config: PPOConfig, environment: Environment, seed: int) -> None:
+        rollout = config.n_envs * config.n_steps
+        if config.batch_size < 2 or rollout % config.batch_size:
+            raise UserError(
+                f"method.ppo.batch_size={config.batch_size}: must be above 1 and divide a rollout, "
+                f"n_envs · n_steps = {rollout}"
+            )
         self._environments = _StableBaselinesEnvironments(environment, seed, config.n_envs)
         self._randomness = _randomness()
         settings = {k: v for k, v in dataclasses.asdict(config).items() if k not in _NOT_OF_PPO}
@@ -59,7 +69,7 @@ class PPOAgent:
                 "MlpPolicy",
                 self._environments,
                 policy_kwargs={"net_arch": list(config.hidden)},
-                seed=seed,
+                seed=seed % 2**32,  # the most that numpy takes
                 device="cpu",
                 **settings,
             )

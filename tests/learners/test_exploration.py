@@ -1,11 +1,18 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
+from states import copied
 from torch import Tensor
 
-from ril.learners.exploration import exploration_ratio, explore, sample_softmax
+from ril.learners.exploration import Explorer, exploration_ratio, explore, sample_softmax
+from ril.schema import Config
+from ril.task import Task
+from ril.vectorized.networks import MLP, Network
 
 BELOW_ONE = 1 - 2**-24  # the largest number that a stream's uniform numbers reach
 
@@ -94,3 +101,52 @@ def test_exploration_ratio_is_of_each_seed() -> None:
     logits = torch.tensor([[[0.0, 0.0]], [[200.0, 0.0]]]).expand(2, 1000, 2)
     ratio = exploration_ratio(logits, np.concatenate((GRID, GRID)))
     assert ratio.tolist() == pytest.approx([0.5, 0.0], abs=1e-3)
+
+
+@pytest.fixture
+def explorer(quick: Any, make_task: Callable[[Config], Task]) -> Callable[..., Explorer]:
+    def made(*overrides: str) -> Explorer:
+        config = quick("seeds=[3,5]", *overrides)
+        task = make_task(config)
+        policy = Network.initialise(MLP(4, (8,), 2), task.seeds, "policy", task.device)
+        return Explorer(config.method.exploration, task, policy)
+
+    return made
+
+
+def test_without_epsilon_an_explorer_plays_greedily(explorer: Any) -> None:
+    one = explorer()
+    episodes = one.play(np.zeros(2))
+    for seed, length in enumerate(episodes.lengths):
+        both = np.stack([episodes.observations[seed, :length]] * 2)
+        greedy = one.policy.greedy(both.reshape(-1, 4)).reshape(2, length)[seed]
+        np.testing.assert_array_equal(episodes.actions[seed, :length], greedy)
+
+
+def test_an_explorer_departs_from_the_greedy_action_as_often_as_epsilon_says(explorer: Any) -> None:
+    one = explorer("method.exploration.kind=uniform")
+    departures = []
+    for _ in range(40):
+        episodes = one.play(np.full(2, 0.4))
+        for seed, length in enumerate(episodes.lengths):
+            both = np.stack([episodes.observations[seed, :length]] * 2)
+            greedy = one.policy.greedy(both.reshape(-1, 4)).reshape(2, length)[seed]
+            departures += (episodes.actions[seed, :length] != greedy).tolist()
+    assert len(departures) > 700
+    assert np.mean(departures) == pytest.approx(0.2, abs=0.05)  # half of what is uniform is greedy
+
+
+def test_each_episode_has_a_start_of_its_own(explorer: Any) -> None:
+    one = explorer()
+    starts = np.concatenate([one.play(np.ones(2)).observations[:, 0] for _ in range(5)])
+    assert len(np.unique(starts, axis=0)) == 10
+
+
+def test_an_explorers_saved_state_goes_on_alike(explorer: Any) -> None:
+    one, resumed = explorer(), explorer()
+    for _ in range(3):
+        one.play(np.ones(2))
+    resumed.load_state_dict(copied(one.state_dict()))
+    found, expected = resumed.play(np.ones(2)), one.play(np.ones(2))
+    np.testing.assert_array_equal(found.observations, expected.observations)
+    np.testing.assert_array_equal(found.actions, expected.actions)

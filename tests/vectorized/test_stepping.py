@@ -193,6 +193,7 @@ def test_a_saved_state_goes_on_alike(
     resumed = SteppedEnvironments(environment, SEEDS, 2, "tests")
     play(resumed, actions[::-1][:50])  # what was played before leaves no trace
     resumed.load_state_dict(state)
+    assert_equal_states(resumed.state_dict(), state)  # and may be saved again at once
     assert_same_play(play(resumed, actions[steps:]), play(uninterrupted, actions[steps:]))
     assert_equal_states(resumed.state_dict(), uninterrupted.state_dict())
 

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from ril.methods.iupe import IUPE
+from ril.methods.ril import RIL
+from ril.schema import Config
+from ril.task import Task
+
+MakeTask = Callable[[Config], Task]
+
+#: What of RIL is IUPE: no reinforcement, and its keys as conf/method/iupe.yaml has them.
+AS_IUPE = (
+    "method=ril",
+    "method.reinforcement=false",
+    "method.inverse_dynamics.labels=sample",
+    "method.goal_sampler.upper_limit=false",
+    "method.exploration.epsilon=1.0",
+    "method.exploration.kind=softmax",
+)
+BOTH = ("method.episodes=3", "method.epochs=6")
+
+
+@pytest.fixture(scope="module")
+def both(quick: Any, make_task: MakeTask) -> tuple[Any, ...]:
+    """IUPE and RIL without its other half, trained, with their progress."""
+    config, other = quick("method=iupe", *BOTH), quick(*AS_IUPE, *BOTH)
+    iupe, ril = IUPE(config.method, make_task(config)), RIL(other.method, make_task(other))
+    return iupe, ril, list(iupe.train()), list(ril.train())
+
+
+def test_it_is_rils_imitation_bit_for_bit(both: Any) -> None:
+    iupe, ril, _, _ = both
+    assert torch.equal(iupe.policy.flat, ril.policy.flat)
+    found, expected = (each.imitation.inverse_dynamics.network.flat for each in (iupe, ril))
+    assert torch.equal(found, expected)
+
+
+def test_its_progress_is_rils(both: Any) -> None:
+    _, _, of_iupe, of_ril = both
+    assert len(of_iupe) == len(of_ril) == 6
+    for found, expected in zip(of_iupe, of_ril, strict=True):
+        assert found.metrics.keys() == expected.metrics.keys()
+        for name, values in expected.metrics.items():
+            np.testing.assert_array_equal(found.metrics[name], values, err_msg=name)
+        for name in ("env_samples", "expert_samples", "pseudo_labels", "stopped"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        assert found.pre_samples == expected.pre_samples
+
+
+def test_the_goal_sampler_mixes_without_equation_2(both: Any) -> None:
+    _, _, progress, _ = both
+    goals = np.array([each.metrics["goals"] for each in progress])
+    assert ((goals > 0) & (goals < 1)).any()  # so that I^s depends on the success ratio
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "method.inverse_dynamics.labels=argmax",
+        "method.exploration.epsilon=null",
+        "method.goal_sampler.upper_limit=true",
+        "method.reinforcement=true",
+    ],
+)
+def test_each_of_its_keys_makes_a_difference(
+    both: Any, quick: Any, make_task: MakeTask, override: str
+) -> None:
+    key = override.partition("=")[0]
+    others = [each for each in AS_IUPE if not each.startswith(key)]
+    config = quick(*others, override, *BOTH)
+    ril = RIL(config.method, make_task(config))
+    list(ril.train())
+    assert not torch.equal(ril.policy.flat, both[0].policy.flat)
+
+
+def test_it_plays_as_many_episodes_as_asked(both: Any) -> None:
+    _, _, progress, _ = both
+    samples = np.array([np.zeros(2), *(each.env_samples for each in progress)])
+    returns = np.array([each.metrics["training_return"] for each in progress])
+    # CartPole pays 1 for each step.
+    np.testing.assert_allclose(np.diff(samples, axis=0), 3 * returns)
+
+
+def test_its_configuration_is_rils_but_for_its_keys(compose: Any) -> None:
+    iupe, ril = compose("env=cartpole", "method=iupe"), compose("env=cartpole", *AS_IUPE)
+    for key in (
+        "network",
+        "inverse_dynamics",
+        "cloning",
+        "exploration",
+        "goal_sampler",
+        "stopping",
+    ):
+        assert getattr(iupe.method, key) == getattr(ril.method, key)
