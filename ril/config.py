@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
@@ -20,7 +21,7 @@ _NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations")
 _BOUNDS = {
     "epsilon": (0, 1),
     "discount": (0, 1),
-    "beta1": (0, 1),
+    "beta1": (0, 0.9999),
     "gamma": (0, 1),
     "gae_lambda": (0, 1),
     "ent_coef": (0, math.inf),
@@ -49,6 +50,8 @@ def from_hydra(composed: DictConfig) -> Config:
     """
     config = cast(Config, OmegaConf.to_object(composed))
     config.seeds = _seeds(config.seeds)
+    if ".." in Path(config.env.name).parts or Path(config.env.name).is_absolute():
+        raise UserError(f"env.name={config.env.name}: must name a folder below output_dir")
     for key in _added(config):
         raise UserError(f"{key}: no such key")
 

@@ -56,7 +56,7 @@ class ConsoleDisplay:
         if self._is_live:
             self._live = Live(console=self._console, transient=True, refresh_per_second=4)
             self._live.start()
-            self._live.update("acting at random, before the first epoch …")
+            self._live.update("before the first epoch …")
 
     def advanced(self, progress: base.Progress, record: Record) -> None:
         """Show where training stands."""
@@ -151,6 +151,9 @@ def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
     facts["samples"] = f"{samples.mean():,.0f}"
     for name, metric, form in (
         ("inverse dynamics", "inverse_dynamics_accuracy", ".0%"),
+        ("discriminator", "discriminator_accuracy", ".0%"),
+        ("latent loss", "latent_loss", ".4g"),
+        ("remapping loss", "remapping_loss", ".4g"),
         ("ε", "epsilon", ".3f"),
     ):
         if metric in progress.metrics:

@@ -60,8 +60,9 @@ def load_environment(config: EnvironmentConfig) -> Environment:
     """
     try:
         probe = gym.make(config.id, disable_env_checker=True, **config.kwargs)
-    except (gym.error.Error, ImportError, TypeError) as error:
-        raise UserError(f"env.id={config.id}: {error}") from None
+    except Exception as error:  # an environment may raise what it likes
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(f"env.id={config.id}: {said}") from None
     observations, actions = probe.observation_space, probe.action_space
     spec = probe.spec
     probe.close()

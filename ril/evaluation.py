@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ril.environments import Environment, Floats
+from ril.vectorized.networks import Network
 from ril.vectorized.rollout import Environments, Integers
 from ril.vectorized.streams import Streams
 
 _COPIES = 25  # environments per seed that are played side by side
-
-
-class Acting(Protocol):
-    """What can be scored: a `Network`, or anything that acts like one."""
-
-    def greedy(self, observations: Floats) -> Integers:
-        """(S·N, obs) scaled observations, one seed's side by side, to (S·N,) actions."""
 
 
 class Evaluation:
@@ -36,7 +29,7 @@ class Evaluation:
         self.seeds = seeds
         self._environments: dict[int, Environments] = {}
 
-    def returns(self, policy: Acting, episodes: int, purpose: str) -> NDArray[np.float64]:
+    def returns(self, policy: Network, episodes: int, purpose: str) -> NDArray[np.float64]:
         """Returns of whole, greedy episodes.
 
         Args:

@@ -7,31 +7,26 @@ import json
 import math
 import os
 import platform
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn, cast
+from typing import Any, cast
 
-import hydra
 import numpy as np
 from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ril.cli import in_one_line
 from ril.collection import Episode, put_first, save
+from ril.command import MISTAKES, refuse, run_command
 from ril.environments import load_environment
 from ril.errors import UserError
 from ril.expert_training import ExpertConfig, OnStep, train
-from ril.paths import config_folder
 
 
 def make_expert(config: ExpertConfig, command: str, on_step: OnStep) -> dict[str, Any]:
@@ -159,8 +154,8 @@ def _run(composed: DictConfig) -> None:
         command = " ".join(["ril-expert", *HydraConfig.get().overrides.task])
         with _progress(config, console) as on_step:
             record = make_expert(config, command, on_step)
-    except (UserError, OmegaConfBaseException) as error:
-        _refuse(error)
+    except MISTAKES as error:
+        refuse(error)  # here already: Hydra says a line of its own of what leaves a job
     returns, first = record["returns"], record["first"]
     console.print(
         f"{config.output}: {record['episodes']} episodes, return {returns['mean']:.2f} ± "
@@ -170,18 +165,7 @@ def _run(composed: DictConfig) -> None:
     )
 
 
-def _refuse(error: Exception) -> NoReturn:
-    sys.exit(f"ril-expert: {in_one_line(error)}")
-
-
 def main() -> None:
     """The console command; a mistake of the user's is one line on stderr and exit status 1."""
     ConfigStore.instance().store(name="expert_schema", node=ExpertConfig)
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra's own errors then reach the handlers below
-    folder = str(config_folder())
-    try:
-        hydra.main(version_base="1.3", config_path=folder, config_name="expert")(_run)()
-    except (HydraException, OmegaConfBaseException) as error:
-        _refuse(error)
-    except KeyboardInterrupt:
-        sys.exit("ril-expert: stopped, nothing was written")
+    run_command("expert", _run, stopped="ril-expert: stopped, nothing was written")

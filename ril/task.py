@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-from ril.demonstrations import StateTransitions
+from ril.demonstrations.trajectories import StateTransitions
 from ril.environments import Environment
 from ril.schema import AblationConfig
 

@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 from ril.cli import store_schemas
 from ril.collection import Episode, save
 from ril.config import from_hydra
-from ril.demonstration_files import load_demonstrations
+from ril.demonstrations.files import load_demonstrations
 from ril.environments import Environment, load_environment
 from ril.methods.base import Progress
 from ril.methods.registry import METHODS

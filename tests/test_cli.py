@@ -117,7 +117,11 @@ MISTAKES = {
     "method.network.hidden=3": "method.network.hidden: ",
     "method.q_learning.discount=2": "method.q_learning.discount=2.0: must be within 0..1",
     "method.exploration.kind=foo": "method.exploration.kind=foo: must be one of softmax, uniform",
-    "method.name=foo": "method.name=foo",
+    "method.name=foo": "method.name=foo: must be ril",
+    "method.name=bc": "method.name=bc: must be ril",
+    "method=null": "Config group override",
+    "env.name=../up": "env.name=../up: must name a folder below output_dir",
+    "+env.kwargs.gravity=1": "env.id=MountainCar-v0: ",
     "device=nonsense": "device=nonsense",
     "device=meta": "device=meta",
     "env=gym": "env.id: must be given",
@@ -151,6 +155,16 @@ def test_help_names_every_choice(here: Callable[..., Ended]) -> None:
         [line] = [line for line in choices.splitlines() if line.strip().startswith(f"{group}= ")]
         for file in (config_folder() / group).glob("*.yaml"):
             assert file.stem in line
+
+
+def test_a_reader_who_stops_reading_is_no_mistake(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [SCRIPTS / "ril-run", "--help"], cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, b"")
 
 
 @pytest.mark.parametrize("argument", MISTAKES)

@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 from conftest import composed
-from omegaconf import OmegaConf
+from omegaconf import MISSING, OmegaConf
 
 from ril.config import from_hydra, run_id
 from ril.errors import UserError
-from ril.schema import Config
+from ril.schema import METHOD_CONFIGS, Config
 
 NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 GYM = ("env=gym", "env.id=MountainCar-v0")
@@ -21,6 +21,73 @@ GYM = ("env=gym", "env.id=MountainCar-v0")
 def test_every_environment_composes(compose: Any, env: tuple[str, ...], fidelity: str) -> None:
     config = compose(*env, f"fidelity={fidelity}")
     assert all(size > 0 for size in config.method.network.hidden)
+
+
+@pytest.mark.parametrize("env", [(f"env={name}",) for name in NAMES] + [GYM])
+@pytest.mark.parametrize("method", METHOD_CONFIGS)
+def test_every_method_composes_in_every_environment(
+    compose: Any, env: tuple[str, ...], method: str
+) -> None:
+    for fidelity in ("works", "paper"):
+        config = compose(*env, f"method={method}", f"fidelity={fidelity}")
+        assert config.method.name == method
+        assert type(config.method) is METHOD_CONFIGS[method]
+        assert not [key for key, value in leaves(config.method) if value == MISSING]
+
+
+# Where IUPE is not RIL's imitation half: docs/iupe.md.
+IUPES_OWN = {
+    "name": "iupe",
+    "episodes": 10,
+    "inverse_dynamics.labels": "sample",
+    "exploration.epsilon": 1.0,
+    "goal_sampler.upper_limit": False,
+}
+
+
+@pytest.mark.parametrize("fidelity", ["works", "paper"])
+@pytest.mark.parametrize("env", NAMES)
+@pytest.mark.parametrize(("method", "own"), [("bc", {"name": "bc"}), ("iupe", IUPES_OWN)])
+def test_what_a_method_shares_with_ril_is_set_as_rils(
+    compose: Any, env: str, method: str, own: dict[str, Any], fidelity: str
+) -> None:
+    ril = dict(leaves(compose(f"env={env}", f"fidelity={fidelity}").method))
+    found = dict(leaves(compose(f"env={env}", f"method={method}", f"fidelity={fidelity}").method))
+    assert found == {key: ril[key] for key in found} | own
+
+
+@pytest.mark.parametrize(
+    ("key", "published"),
+    [
+        ("total_timesteps", 2_000_000),
+        ("discriminator.hidden", [100, 100]),  # Ho & Ermon, §6
+        ("ppo.hidden", [100, 100]),
+    ],
+)
+def test_what_is_stated_of_gail_is_its_default(compose: Any, key: str, published: Any) -> None:
+    for env in NAMES:
+        assert at(compose(f"env={env}", "method=gail").method, key) == published
+
+
+@pytest.mark.parametrize(
+    ("key", "published"),
+    [
+        ("latent_policy.encoder", [128, 256]),
+        ("latent_policy.generator", 128),
+        ("latent_policy.negative_slope", 0.2),
+        ("latent_policy.learning_rate", 2e-4),
+        ("latent_policy.beta1", 0.5),
+        ("latent_policy.batch_size", 32),
+        ("remapping.hidden", [64, 32]),
+        ("remapping.learning_rate", 2e-3),
+        ("remapping.batch_size", 32),
+        ("remapping.steps", 1000),
+        ("remapping.epsilon", 0.2),
+    ],
+)
+def test_what_ilpos_authors_set_is_its_default(compose: Any, key: str, published: Any) -> None:
+    for env in NAMES:
+        assert at(compose(f"env={env}", "method=ilpo").method, key) == published
 
 
 def test_an_environment_of_ones_own_is_named_after_its_id(compose: Any) -> None:
@@ -184,6 +251,9 @@ def test_what_must_be_positive_is(key: str, value: int) -> None:
         ("method.inverse_dynamics.inputs", "foo", "one of states, change"),
         ("method.q_learning.loss", "foo", "one of huber, mse"),
         ("method.goal_sampler.memory", "foo", "one of run, epoch"),
+        ("env.name", "../up", "below output_dir"),
+        ("env.name", "/up", "below output_dir"),
+        ("method.inverse_dynamics.labels", "foo", "one of argmax, sample"),
     ],
 )
 def test_a_value_out_of_bounds_is_refused_by_name(key: str, value: Any, says: str) -> None:
@@ -261,6 +331,15 @@ def test_run_id_depends_on_every_other_key(compose: Any) -> None:
         node = at(config, parent) if parent else config
         setattr(node, name, [9] if isinstance(value, list) else f"other than {value}")
         assert run_id(config, "0") != plain, key
+
+
+@pytest.mark.parametrize("override", ["ablation.k=3", "ablation.n=75"])
+@pytest.mark.parametrize("method", METHOD_CONFIGS)
+def test_run_id_depends_on_equation_2_where_it_is_used(
+    compose: Any, method: str, override: str
+) -> None:
+    plain, changed = (identifier(compose, f"method={method}", *o) for o in ((), (override,)))
+    assert (changed != plain) is (method == "ril")
 
 
 def test_run_id_depends_on_the_demonstrations_content(compose: Any) -> None:

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from ril import experiment
+from ril import training
 from ril.display import ConsoleDisplay
 from ril.experiment import run
 from ril.methods.base import Progress
@@ -69,7 +69,7 @@ class Interrupted(ConsoleDisplay):
 def test_a_run_that_goes_on_says_so(
     quick: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(experiment, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(training, "CHECKPOINT_SECONDS", 0.0)
     config = quick()
     config.output_dir = str(tmp_path)
     with pytest.raises(KeyboardInterrupt):

@@ -16,8 +16,8 @@ import torch
 import yaml
 from conftest import Silence
 
-from ril import experiment
-from ril.demonstration_files import load_demonstrations
+from ril import training
+from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.environments import Environment
 from ril.errors import UserError
 from ril.evaluation import random_returns
@@ -282,7 +282,7 @@ LONGER = ("method.epochs=6", "ablation.n=5")
 
 @pytest.fixture
 def checkpoints_every_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(experiment, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(training, "CHECKPOINT_SECONDS", 0.0)
 
 
 @pytest.fixture
@@ -399,6 +399,14 @@ def test_without_resume_a_checkpoint_is_left_alone(
     assert (interrupted / "checkpoint.pt").exists()
 
 
+def test_without_resume_no_checkpoint_is_left_that_nothing_could_go_on_from(
+    quick_run: QuickRun, checkpoints_every_epoch: None, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt, match=r"^stopped after epoch 2$"):
+        quick_run(*LONGER, "resume=false", folder=tmp_path, display=Signal(signal.SIGINT))
+    assert not list(tmp_path.rglob("checkpoint.pt"))
+
+
 class Finished(Silence):
     """Remembers whether a run said that it was skipped."""
 
@@ -448,6 +456,56 @@ def test_an_expert_no_better_than_random_gives_no_performance(
     assert np.isnan(found[0]["performance"])
 
 
+def reference(method: str, compose: Any, output: Path, *overrides: str) -> Path:
+    config = compose(f"method={method}", "seeds=[4,9]", "evaluation.episodes=30", *overrides)
+    config.output_dir = str(output)
+    return run(config, Silence())
+
+
+def test_random_rows_are_of_each_seeds_random_play(
+    compose: Any, tmp_path: Path, cartpole: Environment
+) -> None:
+    found = rows(reference("random", compose, tmp_path, "env=cartpole"))
+    returns = random_returns(cartpole, [4, 9], 30)
+    assert [row["aer"] for row in found] == returns.mean(axis=1).tolist()
+    assert [row["aer_last"] for row in found] == returns.mean(axis=1).tolist()
+    assert [row["aer_std"] for row in found] == pytest.approx(returns.std(axis=1))
+
+
+def test_expert_rows_are_of_all_of_its_trajectories(
+    compose: Any, tmp_path: Path, cartpole: Environment
+) -> None:
+    level = "ablation.expert_return=400"
+    found = rows(reference("expert", compose, tmp_path, "env=cartpole", level))
+    returns = load_demonstrations(shipped_path("cartpole_400"), cartpole).returns
+    for row in found:
+        assert row["aer"] == pytest.approx(returns.mean())
+        assert row["aer_std"] == pytest.approx(returns.std())
+        assert row["performance"] == 1
+        assert row["expert_return"] == 400
+
+
+@pytest.mark.parametrize("method", ["random", "expert"])
+def test_a_reference_leaves_rows_and_where_they_come_from(
+    compose: Any, tmp_path: Path, method: str
+) -> None:
+    folder = reference(method, compose, tmp_path)
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["config.yaml", "provenance.json", "results.csv"]
+    for row in rows(folder):
+        counts = ("epochs", "env_samples", "expert_samples", "pre_samples", "samples_to_best")
+        assert [row[name] for name in counts] == [0] * 5
+
+
+@pytest.mark.parametrize(("method", "used"), [("ril", True), ("bc", False), ("iupe", False)])
+def test_rows_have_equation_2_where_it_is_used(
+    quick_run: QuickRun, method: str, used: bool
+) -> None:
+    for row in rows(quick_run(f"method={method}", "ablation.k=3")):
+        assert (row["k"] == 3) is used
+        assert bool(np.isnan(row["n"])) is not used
+
+
 def refused(config: Config, output: Path) -> str:
     config.output_dir = str(output)
     with pytest.raises(UserError) as caught:
@@ -458,12 +516,21 @@ def refused(config: Config, output: Path) -> str:
 
 def test_demonstrations_that_do_not_ship_are_named(compose: Any, tmp_path: Path) -> None:
     says = refused(compose("env=gym", "env.id=MountainCar-v0"), tmp_path)
-    assert says.startswith("demonstrations=null: none ship for MountainCar-v0 (only acrobot, ")
+    assert says == "demonstrations=null: none ship for MountainCar-v0; give demonstrations=PATH"
 
 
 def test_an_expert_level_that_does_not_ship_is_named(compose: Any, tmp_path: Path) -> None:
     says = refused(compose("ablation.expert_return=-1"), tmp_path)
     assert says.startswith("ablation.expert_return=-1: none ship for mountaincar_-1")
+
+
+def test_demonstrations_of_another_level_are_refused(
+    compose: Any, tmp_path: Path, cartpole: Environment
+) -> None:
+    path = shipped_path("cartpole_400")
+    given = ("env=cartpole", f"demonstrations={path}")
+    says = refused(compose(*given, "ablation.expert_return=300"), tmp_path)
+    assert says.startswith(f"ablation.expert_return=300: demonstrations={path} return 400.40")
 
 
 @pytest.mark.parametrize("device", ["nonsense", "cuda:99", "meta", "", "cpu:x"])
@@ -474,7 +541,7 @@ def test_a_device_that_cannot_be_used_is_named(compose: Any, tmp_path: Path, dev
 
 
 def test_a_method_that_is_not_known_is_named(compose: Any, tmp_path: Path) -> None:
-    assert refused(compose("method.name=foo"), tmp_path).startswith("method.name=foo: must be one")
+    assert refused(compose("method.name=foo"), tmp_path) == "method.name=foo: must be ril"
 
 
 @pytest.mark.parametrize("below", ["", "deeper/still"])

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from ril.collection import Episode, pack, play, put_first
-from ril.demonstration_files import SHIPPED, demonstrations_path, load_demonstrations, shipped_path
-from ril.demonstrations import Demonstrations
+from ril.demonstrations.files import SHIPPED, demonstrations_path, load_demonstrations, shipped_path
+from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment, reaches_goal
 from ril.experts import main
 

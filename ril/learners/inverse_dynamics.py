@@ -77,7 +77,7 @@ class InverseDynamics:
 
     @torch.no_grad()
     def label(self, observations: Tensor, next_observations: Tensor) -> Tensor:
-        """Algorithm 1, line 8: argmax pseudo-labels Â.
+        """The likeliest action of each transition.
 
         Args:
             observations: (S, B, obs) states s_t.

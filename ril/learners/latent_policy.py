@@ -37,9 +37,9 @@ class LatentDynamics:
 
     observations: int
     latents: int
-    encoder: tuple[int, int] = (128, 256)
-    generator: int = 128
-    negative_slope: float = 0.2
+    encoder: tuple[int, int]
+    generator: int
+    negative_slope: float
 
     def shapes(self) -> dict[str, tuple[int, int]]:
         """(rows, columns) of every parameter, of one seed, by name."""
@@ -96,9 +96,9 @@ class ActionRemapping:
     observations: int
     latents: int
     actions: int
-    encoder: tuple[int, int] = (128, 256)
-    hidden: tuple[int, int] = (64, 32)
-    negative_slope: float = 0.2
+    encoder: tuple[int, int]
+    hidden: tuple[int, int]
+    negative_slope: float
 
     def shapes(self) -> dict[str, tuple[int, int]]:
         """(rows, columns) of every parameter, of one seed, by name."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ril.demonstrations import LabelledTransitions
+from ril.demonstrations.trajectories import LabelledTransitions
 from ril.learners.cloning import Cloning
 from ril.learners.imitation import mlp
 from ril.methods.base import Progress

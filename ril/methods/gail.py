@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ril.demonstrations import LabelledTransitions
+from ril.demonstrations.trajectories import LabelledTransitions
 from ril.learners.discriminator import Discriminator, state_action_pairs
 from ril.learners.ppo import PPOAgent, actor_topology
 from ril.methods.base import Progress

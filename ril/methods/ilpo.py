@@ -85,6 +85,7 @@ class ILPO:
             purpose: Streams(seeds, purpose)
             for purpose in ("latent batches", "remapping exploration", "remapping batches")
         }
+        self._latent_loss = torch.zeros(len(seeds), device=task.device)
         self.epoch = 0
         self.steps = 0
 
@@ -95,9 +96,11 @@ class ILPO:
             self.epoch += 1
             imitating = self.epoch <= self.config.epochs
             if imitating:
-                metrics = {"latent_loss": self._learn_latent_policy()}
-            else:
-                metrics = {"remapping_loss": self._learn_remapping()}
+                self._latent_loss = self._learn_latent_policy()
+                metrics = {"latent_loss": self._latent_loss}
+            else:  # looked at now only, so the first step's loss goes on being told
+                remapping_loss = self._learn_remapping()
+                metrics = {"latent_loss": self._latent_loss, "remapping_loss": remapping_loss}
             expert_epochs = min(self.epoch, self.config.epochs)
             yield Progress(
                 self.epoch,
@@ -174,6 +177,7 @@ class ILPO:
             "epoch": self.epoch,
             "steps": self.steps,
             "policy": self.policy.flat,
+            "latent_loss": self._latent_loss,
             "seen": self._seen,
             "taken": self._taken,
             "parts": {name: part.state_dict() for name, part in self._stateful().items()},
@@ -183,6 +187,7 @@ class ILPO:
         """Go on from where `state_dict` was taken."""
         self.epoch, self.steps = state["epoch"], state["steps"]
         self.policy.flat.copy_(state["policy"])
+        self._latent_loss.copy_(state["latent_loss"])
         self._seen.copy_(state["seen"])
         self._taken.copy_(state["taken"])
         for name, part in self._stateful().items():

@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ril.demonstrations import Demonstrations, StateTransitions
+from ril.demonstrations.trajectories import Demonstrations, StateTransitions
 from ril.environments import Environment
 from ril.methods.base import Method
 from ril.schema import MethodConfig

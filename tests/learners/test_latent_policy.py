@@ -26,9 +26,9 @@ from ril.vectorized.networks import Network
 from ril.vectorized.updates import ClippedAdam
 
 OBS, Z, A = 4, 3, 2
-PAPER = LatentDynamics(OBS, Z)
-DYNAMICS = LatentDynamics(OBS, Z, encoder=(10, 12), generator=7)
-REMAPPING = ActionRemapping(OBS, Z, A, encoder=(10, 12), hidden=(8, 6))
+PAPER = LatentDynamics(OBS, Z, (128, 256), 128, 0.2)
+DYNAMICS = LatentDynamics(OBS, Z, encoder=(10, 12), generator=7, negative_slope=0.2)
+REMAPPING = ActionRemapping(OBS, Z, A, encoder=(10, 12), hidden=(8, 6), negative_slope=0.2)
 S, B = 3, 9
 
 
@@ -69,7 +69,7 @@ def test_sizes_are_the_papers() -> None:
     assert PAPER.shapes()["encoder0.weight"] == (OBS, 128)
     assert PAPER.shapes()["joint.weight"] == (512, 256)
     assert PAPER.shapes()["generator0.weight"] == (256, 128)
-    remapping = ActionRemapping(OBS, Z, A).shapes()
+    remapping = ActionRemapping(OBS, Z, A, (128, 256), (64, 32), 0.2).shapes()
     assert remapping["remap_joint0.weight"] == (512, 64)
     assert remapping["remap_output.weight"] == (32, A)
 
@@ -223,7 +223,7 @@ MOVES = torch.tensor([[0.5, 0.0, 0.0, 0.0], [0.0, -0.5, 0.0, 0.0], [0.0, 0.0, 0.
 
 def test_a_world_of_separable_moves_is_told_apart() -> None:
     # Which of three moves the expert makes is seen from its state.
-    small = LatentDynamics(OBS, Z, encoder=(64, 128), generator=64)
+    small = LatentDynamics(OBS, Z, encoder=(64, 128), generator=64, negative_slope=0.2)
     network = Network.initialise(small, range(S), "tests", torch.device("cpu"))
     x = states(rows=150)
     moves = x[..., :3].argmax(dim=-1)

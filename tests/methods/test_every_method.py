@@ -19,7 +19,7 @@ from states import assert_equal_states, copied
 from torch import Tensor
 
 from ril.collection import Episode, save
-from ril.demonstration_files import load_demonstrations, shipped_path
+from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.environments import Environment
 from ril.experiment import run
 from ril.methods.base import Method, Progress

@@ -166,7 +166,7 @@ def test_epochs_are_the_latent_policys_and_then_the_remappings(make: Any) -> Non
     assert method.epochs == 3 + 40 // 10
     assert [each.epoch for each in progress] == [1, 2, 3, 4, 5, 6, 7]
     assert [list(each.metrics) for each in progress] == [["latent_loss"]] * 3 + [
-        ["remapping_loss"]
+        ["latent_loss", "remapping_loss"]
     ] * 4
 
 

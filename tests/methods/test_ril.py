@@ -9,7 +9,7 @@ import torch
 from states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.demonstration_files import shipped_path
+from ril.demonstrations.files import shipped_path
 from ril.evaluation import Evaluation
 from ril.learners.cloning import Cloning
 from ril.learners.exploration import exploration_ratio, explore, sample_softmax

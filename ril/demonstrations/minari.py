@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
-from ril.demonstration_layouts import DataError, Trajectories, from_own
+from ril.demonstrations.layouts import DataError, Trajectories, from_own
 from ril.environments import Environment
 
 

@@ -8,15 +8,16 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 
-from ril.demonstration_layouts import DataError, Trajectories, read_npz
-from ril.demonstrations import Demonstrations
+from ril.demonstrations.layouts import DataError, Trajectories, read_npz
+from ril.demonstrations.minari import data_folder, read_minari
+from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment
 from ril.errors import UserError
-from ril.minari_datasets import data_folder, read_minari
 from ril.schema import Config
 
-SHIPPED = Path(__file__).parent / "data"
+SHIPPED = Path(__file__).parents[1] / "data"
 _TOLERANCE = 0.01  # of the range of an observation's entry, which it may lie beyond its bounds
+_OFF_LEVEL = 0.05  # of a sub-optimal expert's level, which its mean return may be off
 _MAY_LEAVE = 0.1  # of all states; environments such as LunarLander leave their own space at times
 
 
@@ -38,10 +39,24 @@ def demonstrations_path(config: Config) -> Path:
     path = shipped_path(name)
     if not path.is_file():
         key = "demonstrations=null" if level is None else f"ablation.expert_return={level:g}"
-        every = sorted(file.stem for file in path.parent.glob("*.npz"))
-        shipped = ", ".join([each for each in every if each.startswith(config.env.name)] or every)
-        raise UserError(f"{key}: none ship for {name} (only {shipped}); give demonstrations=PATH")
+        every = sorted(file.stem for file in path.parent.glob(f"{config.env.name}*.npz"))
+        only = f" (only {', '.join(every)})" if every else ""
+        raise UserError(f"{key}: none ship for {name}{only}; give demonstrations=PATH")
     return path
+
+
+def check_level(config: Config, demonstrations: Demonstrations) -> None:
+    """Refuse an expert that is not of the level that it is said to be.
+
+    Raises:
+        UserError: the mean return lies more than 5 % off `ablation.expert_return`.
+    """
+    level, mean = config.ablation.expert_return, demonstrations.returns.mean()
+    if level is not None and abs(mean - level) > _OFF_LEVEL * abs(level):
+        raise UserError(
+            f"ablation.expert_return={level:g}: demonstrations={config.demonstrations} return "
+            f"{mean:.2f} on average, more than 5 % off"
+        )
 
 
 def load_demonstrations(path: Path, environment: Environment) -> Demonstrations:

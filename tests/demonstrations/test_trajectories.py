@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ril.demonstration_files import load_demonstrations, shipped_path
-from ril.demonstrations import Demonstrations
+from ril.demonstrations.files import load_demonstrations, shipped_path
+from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment
 from ril.errors import UserError
 

@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ril.collection import Episode, save
-from ril.demonstration_files import load_demonstrations, shipped_path
-from ril.demonstrations import Demonstrations
+from ril.demonstrations.files import load_demonstrations, shipped_path
+from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment
 from ril.errors import UserError
 

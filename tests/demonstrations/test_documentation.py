@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from conftest import follow_rule
 
-from ril.demonstration_files import load_demonstrations
+from ril.demonstrations.files import load_demonstrations
 from ril.environments import Environment
 
-PAGE = Path(__file__).parents[1] / "docs" / "demonstrations.md"
+PAGE = Path(__file__).parents[2] / "docs" / "demonstrations.md"
 IL_DATASETS, MINARI = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
 
 

@@ -14,10 +14,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
-from test_demonstration_files import Bomb, assert_pairs, refusal
+from test_files import Bomb, assert_pairs, refusal
 
 from ril.collection import Episode
-from ril.demonstration_files import load_demonstrations
+from ril.demonstrations.files import load_demonstrations
 from ril.environments import Environment
 
 minari = pytest.importorskip("minari")
