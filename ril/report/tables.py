@@ -37,16 +37,16 @@ def imitation_table(rows: pd.DataFrame, table: str) -> str:
                 performance.append("–")
                 missing.append(env)
                 continue
-            cell = fullest_run(in_env)
+            cell = fullest_cell(in_env)
             seeds = "1 seed" if len(cell) == 1 else f"{len(cell)} seeds"
             aer.append(f"{_spread(cell['aer'], 2)} ({seeds})")
             performance.append(_spread(cell["performance"], 3))
             means.append(cell["performance"].mean())
             if short := shortfall(cell, table, method):
                 notes.append(f"- {method} on {title} was run with {' and '.join(short)}")
-            if (runs := in_env["run_id"].nunique()) > 1:
-                chosen = cell["run_id"].iloc[0]
-                notes.append(f"- {method} on {title}: {chosen}, the fullest of {runs} runs")
+            shown, runs = cell["run_id"].nunique(), in_env["run_id"].nunique()
+            if shown < runs:
+                notes.append(f"- {method} on {title}: {shown} of {runs} runs shown, the fullest")
         if missing:
             notes.append(_not_run(method, missing, reported["setting"]["trajectories"]))
         average = f"{sum(means) / 4:.3f}" if len(means) == 4 else "–"
@@ -78,14 +78,19 @@ def _not_run(method: str, environments: list[str], trajectories: int) -> str:
     return f"- {method} is not run on {titles}: `{command}`"
 
 
-def fullest_run(rows: pd.DataFrame) -> pd.DataFrame:
-    """Of several runs of one cell, that with the most seeds, then epochs; the empty if none."""
-    if rows.empty:
+def fullest_cell(rows: pd.DataFrame) -> pd.DataFrame:
+    """Of several runs of one cell, the seeds of those that trained equally long, taken together.
+
+    Of different lengths, that with the most seeds, then the longest; of a seed that was run
+    twice, its newer row. The empty frame if there are none.
+    """
+    length = rows.groupby("run_id")["epochs"].transform("max")
+    seeds = rows.groupby(length)["seed"].nunique().sort_index()
+    if seeds.empty:
         return rows
-    sizes = rows.groupby("run_id").agg(seeds=("seed", "size"), epochs=("epochs", "max"))
-    chosen = sizes.sort_values(["seeds", "epochs"], kind="stable").index[-1]
-    of_chosen: pd.DataFrame = rows[rows["run_id"] == chosen]
-    return of_chosen
+    chosen = seeds[seeds == seeds.max()].index[-1]
+    together: pd.DataFrame = rows[length == chosen].drop_duplicates("seed", keep="last")
+    return together.sort_values("seed")
 
 
 def _spread(values: pd.Series[float], digits: int) -> str:

@@ -8,7 +8,7 @@ import pytest
 
 from ril.report.cli import main
 from ril.report.paper import number, paper, paper_cell
-from ril.report.tables import fullest_run, imitation_table
+from ril.report.tables import fullest_cell, imitation_table
 from ril.results import Row, load_results
 
 METHODS = ("Random", "Expert", "BC", "GAIL", "ILPO", "IUPE", "RIL")
@@ -164,12 +164,34 @@ def test_of_several_runs_the_one_with_most_seeds_is_shown_and_named() -> None:
         )
     )
     assert our_cells(found)[2] == "-105.00 ± 0.00 (2 seeds)"
-    assert "- RIL on MountainCar: many, the fullest of 2 runs" in notes(found)
+    assert "- RIL on MountainCar: 1 of 2 runs shown, the fullest" in notes(found)
 
 
 def test_of_runs_with_equally_many_seeds_the_longest_is_the_fullest() -> None:
-    found = fullest_run(rows({"run_id": "long"}, {"run_id": "short", "epochs": 3}))
+    found = fullest_cell(rows({"run_id": "long"}, {"run_id": "short", "epochs": 3}))
     assert found["run_id"].tolist() == ["long"]
+
+
+def test_seeds_of_several_runs_count_together() -> None:
+    found = table2(
+        rows(
+            {"run_id": "a", "seed": 0, "aer": -100.0},
+            {"run_id": "a", "seed": 1, "aer": -102.0},
+            {"run_id": "b", "seed": 2, "aer": -110.0},
+        )
+    )
+    assert our_cells(found)[2] == "-104.00 ± 4.32 (3 seeds)"
+    assert not any("runs shown" in note for note in notes(found))
+
+
+def test_of_a_seed_in_two_runs_the_newer_row_counts() -> None:
+    found = fullest_cell(rows({"run_id": "old", "aer": -99.0}, {"run_id": "new", "aer": -98.0}))
+    assert found["aer"].tolist() == [-98.0]
+
+
+def test_a_seed_that_stopped_early_is_of_its_run() -> None:
+    found = fullest_cell(rows({"seed": 0, "epochs": 9}, {"seed": 1, "epochs": 150}))
+    assert found["seed"].tolist() == [0, 1]
 
 
 # Table 2 of the paper: AER of each method, by environment, and its average performance.
