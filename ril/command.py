@@ -14,7 +14,7 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from ril.errors import UserError
+from ril.errors import UserError, one_line
 from ril.paths import config_folder
 from ril.schema import METHOD_CONFIGS
 
@@ -75,7 +75,7 @@ def in_one_line(error: Exception) -> str:
         return f"{fault.full_key}: no such key{where}; is it {', '.join(near)}?"
     if isinstance(fault, OmegaConfBaseException) and fault.full_key:
         return f"{fault.full_key}: {str(fault).splitlines()[0]}"
-    return " ".join(str(fault).split())
+    return one_line(fault)
 
 
 def _fields(kind: type) -> list[str]:

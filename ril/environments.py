@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.errors import UserError
+from ril.errors import UserError, one_line
 from ril.schema import EnvironmentConfig, GoalConfig
 
 Floats = NDArray[np.float32]
@@ -61,7 +61,7 @@ def load_environment(config: EnvironmentConfig) -> Environment:
     try:
         probe = gym.make(config.id, disable_env_checker=True, **config.kwargs)
     except Exception as error:  # an environment may raise what it likes
-        said = " ".join(str(error).split()) or type(error).__name__
+        said = one_line(error) or type(error).__name__
         raise UserError(f"env.id={config.id}: {said}") from None
     observations, actions = probe.observation_space, probe.action_space
     spec = probe.spec

@@ -11,6 +11,7 @@ from gymnasium.spaces import Box, Discrete, Space
 
 from ril.demonstrations.layouts import DataError, Trajectories, from_own
 from ril.environments import Environment
+from ril.errors import one_line
 
 
 def data_folder(path: Path) -> Path:
@@ -52,10 +53,12 @@ def read_minari(folder: Path, environment: Environment) -> Trajectories:
         raise
     except ImportError as error:
         raise DataError(
-            f"reading Minari needs pip install 'ril[minari]' ({_line(error)})"
+            f"reading Minari needs pip install 'ril[minari]' ({one_line(error)})"
         ) from None
     except Exception as error:  # a damaged file has json, gymnasium, h5py and minari raise theirs
-        raise DataError(f"minari cannot read it ({type(error).__name__}: {_line(error)})") from None
+        raise DataError(
+            f"minari cannot read it ({type(error).__name__}: {one_line(error)})"
+        ) from None
     return from_own(arrays | {"lengths": np.array([len(each.actions) for each in episodes])})
 
 
@@ -68,10 +71,10 @@ def _check_spaces(observations: Space[Any], actions: Space[Any], environment: En
     )
     if not isinstance(observations, Box) or observations.shape != shape:
         raise DataError(
-            f"observations are {_line(observations)}, {name} has a Box of shape {shape}"
+            f"observations are {one_line(observations)}, {name} has a Box of shape {shape}"
         )
     if not isinstance(actions, Discrete) or (actions.start, actions.n) != (0, count):
-        raise DataError(f"actions are {_line(actions)}, {name} has Discrete({count})")
+        raise DataError(f"actions are {one_line(actions)}, {name} has Discrete({count})")
 
 
 def _check_final_states(counts: list[tuple[int, int]]) -> None:
@@ -84,8 +87,3 @@ def _check_final_states(counts: list[tuple[int, int]]) -> None:
                 f"trajectory {number} of {len(counts)} has {observations} observations "
                 f"for {actions} actions, needs one more than these"
             )
-
-
-def _line(said: object) -> str:
-    """What an error or a space says, in one line."""
-    return " ".join(str(said).split())

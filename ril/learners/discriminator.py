@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from ril.schema import DiscriminatorConfig
 from ril.vectorized.networks import Network
-from ril.vectorized.replay import random_indices
+from ril.vectorized.replay import at, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
@@ -82,10 +82,9 @@ class Discriminator:
         uniform = self._streams.uniform(updates, 2, batch_size)
         of_expert = random_indices(uniform[:, :, 0], np.full(seeds, len(expert))).to(device)
         of_policy = random_indices(uniform[:, :, 1], np.full(seeds, generated.shape[1])).to(device)
-        rows = torch.arange(seeds, device=device)[:, None]
         total, right = torch.zeros(2, seeds, device=device)
         for update in range(updates):
-            pairs = (expert[of_expert[:, update]], generated[rows, of_policy[:, update]])
+            pairs = (expert[of_expert[:, update]], at(generated, of_policy[:, update]))
             logits = self.network(torch.cat(pairs, dim=1)).squeeze(-1)
             expert_logits, generated_logits = logits.chunk(2, dim=1)
             losses = discriminator_loss(expert_logits, generated_logits)

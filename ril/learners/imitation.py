@@ -18,9 +18,10 @@ from ril.learners.exploration import exploration_ratio, sample_softmax
 from ril.learners.goal_sampler import select
 from ril.learners.inverse_dynamics import InverseDynamics
 from ril.learners.stopping import StoppingRule
-from ril.schema import GoalConfig, IUPEConfig, NetworkConfig
+from ril.learners.topology import mlp
+from ril.schema import GoalConfig, IUPEConfig
 from ril.task import Task
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Environments, Episodes, Integers
 from ril.vectorized.streams import Streams
@@ -29,18 +30,6 @@ _PRE_COPIES = 10  # environments per seed that fill I^pre side by side
 _CHUNK = 8192  # expert states of each seed that go through a network at once
 
 Metrics = dict[str, NDArray[np.float64]]
-
-
-def mlp(config: NetworkConfig, inputs: int, outputs: int) -> MLP:
-    """The topology that policy and inverse dynamics model share (§4.1)."""
-    return MLP(
-        inputs,
-        tuple(config.hidden),
-        outputs,
-        config.attention,
-        config.layer_norm,
-        config.negative_slope,
-    )
 
 
 class SelfSupervisedImitation:

@@ -10,11 +10,10 @@ import torch
 
 from ril.demonstrations.trajectories import LabelledTransitions
 from ril.learners.cloning import Cloning
-from ril.learners.imitation import mlp
+from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
 from ril.schema import BCConfig
 from ril.task import Task
-from ril.vectorized.networks import Network
 from ril.vectorized.streams import Streams
 
 
@@ -29,9 +28,8 @@ class BC:
     def __init__(self, config: BCConfig, task: Task) -> None:
         assert isinstance(task.expert, LabelledTransitions)
         self.epochs = config.epochs
-        environment, seeds = task.environment, task.seeds
-        topology = mlp(config.network, environment.observation_size, environment.action_count)
-        self.policy = Network.initialise(topology, seeds, "policy", task.device)
+        seeds = task.seeds
+        self.policy = initial_policy(config.network, task)
         self.cloning = Cloning(self.policy, config.cloning, Streams(seeds, "cloning batches"))
         self._states = torch.from_numpy(task.expert.observations).to(task.device)
         actions = torch.from_numpy(task.expert.actions).to(task.device)

@@ -25,7 +25,7 @@ from ril.schema import ILPOConfig
 from ril.task import Task
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, parameter_count
-from ril.vectorized.replay import random_indices
+from ril.vectorized.replay import at, random_indices
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
@@ -140,9 +140,8 @@ class ILPO:
             self._act(exploring[:, step].transpose(0, 1), epsilon)
             sizes = np.full(seeds, self.steps)
             chosen = random_indices(batches[:, step], sizes).to(device)
-            rows = torch.arange(seeds, device=device)[:, None]
-            logits = self.remapping(self._seen[rows, chosen])
-            losses = cross_entropy(logits, self._taken[rows, chosen])
+            logits = self.remapping(at(self._seen, chosen))
+            losses = cross_entropy(logits, at(self._taken, chosen))
             self._remapping_optimizer.step(losses)
             total += losses.detach()
         return total / steps

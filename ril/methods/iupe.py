@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from ril.learners.exploration import Explorer
-from ril.learners.imitation import SelfSupervisedImitation, mlp
+from ril.learners.imitation import SelfSupervisedImitation
+from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
 from ril.schema import IUPEConfig
 from ril.task import Task
-from ril.vectorized.networks import Network
 
 
 class IUPE:
@@ -27,13 +27,11 @@ class IUPE:
         self.config = config
         self.task = task
         self.epochs = config.epochs
-        environment, seeds = task.environment, task.seeds
-        topology = mlp(config.network, environment.observation_size, environment.action_count)
-        self.policy = Network.initialise(topology, seeds, "policy", task.device)  # line 2
+        self.policy = initial_policy(config.network, task)  # line 2: π_φ
         self.imitation = SelfSupervisedImitation(config, task, self.policy)  # lines 1 and 3
         self.explorer = Explorer(config.exploration, task, self.policy, config.episodes)
         self.epoch = 0
-        self.env_samples = np.zeros(len(seeds), dtype=np.int64)
+        self.env_samples = np.zeros(len(task.seeds), dtype=np.int64)
 
     def train(self) -> Iterator[Progress]:
         """Label, clone, explore, sample; yields after each epoch."""

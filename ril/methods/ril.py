@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from ril.errors import UserError
 from ril.learners.exploration import Explorer
 from ril.learners.goal_sampler import positive_limit
-from ril.learners.imitation import Metrics, SelfSupervisedImitation, mlp
+from ril.learners.imitation import Metrics, SelfSupervisedImitation
 from ril.learners.q_learning import QLearning
+from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
 from ril.schema import RILConfig
 from ril.task import Task
-from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
@@ -39,10 +39,8 @@ class RIL:
         self.config = config
         self.task = task
         self.epochs = config.epochs
-        environment, seeds = task.environment, task.seeds
-        size = environment.observation_size
-        topology = mlp(config.network, size, environment.action_count)
-        self.policy = Network.initialise(topology, seeds, "policy", task.device)  # line 2: π_φ
+        seeds, size = task.seeds, task.environment.observation_size
+        self.policy = initial_policy(config.network, task)  # line 2: π_φ
         self.imitation = SelfSupervisedImitation(config, task, self.policy)  # lines 1 and 3
         memory = max(1, round(config.q_learning.replay_trajectories * task.expert.mean_length))
         self.q_learning = QLearning(

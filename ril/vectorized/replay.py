@@ -18,6 +18,12 @@ def random_indices(uniform: NDArray[np.float32], sizes: NDArray[np.int64]) -> Te
     return torch.from_numpy(np.minimum((uniform * ceiling).astype(np.int64), ceiling - 1))
 
 
+def at(values: Tensor, indices: Tensor) -> Tensor:
+    """Each seed's own entries: values (S, N, …) at indices (S, C) of the N, to (S, C, …)."""
+    rows = torch.arange(len(indices), device=indices.device)[:, None]
+    return values[rows, indices]
+
+
 class Batch(NamedTuple):
     """Transitions of all seeds: B per seed."""
 
@@ -29,8 +35,7 @@ class Batch(NamedTuple):
 
     def at(self, indices: Tensor) -> Batch:
         """Those at indices (S, C) of each seed's B."""
-        rows = torch.arange(len(indices), device=indices.device)[:, None]
-        return Batch(*(field[rows, indices] for field in self))
+        return Batch(*(at(field, indices) for field in self))
 
 
 class Replay:

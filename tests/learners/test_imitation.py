@@ -9,7 +9,8 @@ import torch
 
 from ril.errors import UserError
 from ril.learners import imitation as module
-from ril.learners.imitation import SelfSupervisedImitation, mlp
+from ril.learners.imitation import SelfSupervisedImitation
+from ril.learners.topology import mlp
 from ril.schema import Config
 from ril.task import Task
 from ril.vectorized.networks import Network

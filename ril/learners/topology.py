@@ -1,0 +1,26 @@
+"""The networks of §4.1, as the configuration has them."""
+
+from __future__ import annotations
+
+from ril.schema import NetworkConfig
+from ril.task import Task
+from ril.vectorized.networks import MLP, Network
+
+
+def mlp(config: NetworkConfig, inputs: int, outputs: int) -> MLP:
+    """The topology that policy and inverse dynamics model share (§4.1)."""
+    return MLP(
+        inputs,
+        tuple(config.hidden),
+        outputs,
+        config.attention,
+        config.layer_norm,
+        config.negative_slope,
+    )
+
+
+def initial_policy(config: NetworkConfig, task: Task) -> Network:
+    """The random policies π_φ that BC, IUPE and RIL begin with (Alg. 1, line 2)."""
+    environment = task.environment
+    topology = mlp(config, environment.observation_size, environment.action_count)
+    return Network.initialise(topology, task.seeds, "policy", task.device)
