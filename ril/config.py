@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
@@ -13,18 +14,26 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from ril.errors import UserError
-from ril.schema import Config, RILConfig
+from ril.schema import Config, ReinforcementConfig, RILConfig, RILSequentialConfig
 
 #: Keys that cannot change a number; the demonstrations enter by their content.
-_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations")
+_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes")
 #: Numbers must be above 0, but for these, which lie within bounds (both included).
 _BOUNDS = {
     "epsilon": (0, 1),
     "discount": (0, 1),
+    "initial_epsilon": (0, 1),
+    "final_epsilon": (0, 1),
+    "learning_starts": (0, math.inf),
+    "alpha": (0, math.inf),
+    "beta": (0, 1),
     "beta1": (0, 0.9999),
     "gamma": (0, 1),
     "gae_lambda": (0, 1),
     "ent_coef": (0, math.inf),
+    "standardise_steps": (0, math.inf),
+    "momentum": (0, 0.9999),
+    "stats_decay": (0, 0.9999),
     "target_interval": (0, math.inf),
     "loss_tolerance": (0, math.inf),
     "negative_slope": (0, math.inf),
@@ -58,6 +67,10 @@ def from_hydra(composed: DictConfig) -> Config:
     for group in ("method", "ablation", "evaluation"):
         for key, value in leaves(OmegaConf.to_container(composed[group]), group):
             _check(key, value)
+    _check("processes", config.processes)
+    epochs_between_looks(config.evaluation.every, epochs=1)
+    if not (isinstance(config.compile, bool) or config.compile == "auto"):
+        raise UserError(f"compile={config.compile}: must be auto, true or false")
     return config
 
 
@@ -113,9 +126,29 @@ def _seeds(given: Any) -> list[int]:
     return seeds
 
 
-def uses_equation_2(config: Config) -> bool:
-    """Whether `ablation.k` and `ablation.n` can change the method's numbers."""
-    return isinstance(config.method, RILConfig)
+def epochs_between_looks(every: Any, epochs: int) -> int:
+    """What `evaluation.every` means for a run of that many epochs: a count, or a share of them.
+
+    Raises:
+        UserError: it is neither.
+    """
+    if type(every) is int:
+        return every
+    share = re.fullmatch(r"(\d+(?:\.\d+)?)%", str(every))
+    if share is None or not 0 < float(share[1]) <= 100:
+        raise UserError(
+            f"evaluation.every={every}: must be a count of epochs, or a share of them like 1%"
+        )
+    return max(1, int(epochs * float(share[1]) / 100))
+
+
+def idle_ablations(config: Config) -> tuple[str, ...]:
+    """Keys of `ablation` that cannot change the method's numbers."""
+    if isinstance(config.method, RILConfig | RILSequentialConfig):
+        return ()
+    if isinstance(config.method, ReinforcementConfig):
+        return ("k", "n", "trajectories")
+    return ("k", "n")
 
 
 def run_id(config: Config, demonstrations_sha256: str) -> str:
@@ -124,7 +157,9 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
     for key in _NOT_IN_RUN_ID:
         del content[key]
     content["demonstrations"] = demonstrations_sha256
-    if not uses_equation_2(config):
-        del content["ablation"]["k"], content["ablation"]["n"]
+    if content["compile"] == "auto":
+        del content["compile"]  # rounding may differ between machines anyway
+    for key in idle_ablations(config):
+        del content["ablation"][key]
     canonical = json.dumps(content, sort_keys=True)
     return hashlib.sha256(canonical.encode()).hexdigest()[:10]

@@ -39,6 +39,7 @@ class ConsoleDisplay:
         self._folder = Path()
         self._epochs = 0
         self._epochs_at_start: int | None = None
+        self._first_look = (0.0, 0)  # the time after the first epoch, and the samples by then
         self._started = self._printed = 0.0
 
     def started(self, config: Config, folder: Path, epochs: int) -> None:
@@ -63,10 +64,15 @@ class ConsoleDisplay:
         assert self._config is not None
         if self._epochs_at_start is None:
             self._epochs_at_start = progress.epoch - 1
+            self._first_look = time.monotonic(), int(progress.env_samples.sum())
         now, total = time.monotonic(), self._epochs
         done = progress.epoch - self._epochs_at_start
         left = (now - self._started) / done * (total - progress.epoch)
-        facts = _facts(progress, record) | {"time left": _duration(left)}
+        facts = _facts(progress, record)
+        since, before = self._first_look
+        if now > since and (taken := int(progress.env_samples.sum()) - before):
+            facts["steps/s"] = f"{taken / (now - since):,.0f} (all seeds)"
+        facts["time left"] = _duration(left)
         if self._live is not None:
             self._bar.update(
                 self._task,
@@ -154,6 +160,7 @@ def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
         ("discriminator", "discriminator_accuracy", ".0%"),
         ("latent loss", "latent_loss", ".4g"),
         ("remapping loss", "remapping_loss", ".4g"),
+        ("TD loss", "td_loss", ".4g"),
         ("ε", "epsilon", ".3f"),
     ):
         if metric in progress.metrics:

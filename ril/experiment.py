@@ -13,7 +13,7 @@ import numpy as np
 import torch
 import yaml
 
-from ril.config import run_id, uses_equation_2
+from ril.config import idle_ablations, run_id
 from ril.demonstrations.files import check_level, demonstrations_path, load_demonstrations
 from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment, load_environment
@@ -28,6 +28,7 @@ from ril.results import Row, write_csv
 from ril.schema import METHOD_CONFIGS, Config
 from ril.task import Task
 from ril.training import Cell, Display, Outcome, train_and_score
+from ril.vectorized.processes import usable_processes
 
 
 def run(config: Config, display: Display, variant: str = "") -> Path:
@@ -67,7 +68,15 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     if name in METHODS:
         entry = METHODS[name]
         expert = entry.shown(given, environment)
-        task = Task(environment, expert, tuple(config.seeds), config.ablation, device)
+        task = Task(
+            environment,
+            expert,
+            tuple(config.seeds),
+            config.ablation,
+            device,
+            config.compile,
+            usable_processes(config.processes),
+        )
         method = entry.load()(config.method, task)
     folder = _claim(folder, resume=config.resume)
     details = {"run_id": identifier, **provenance(path, demonstrations.sha256)}
@@ -119,9 +128,7 @@ def _rows(config: Config, outcome: Outcome, shared: dict[str, Any]) -> list[Row]
     aer = best.mean(axis=1)
     random, expert = shared["random_return"], shared["expert_return_measured"]
     performance = (aer - random) / (expert - random) if expert != random else aer * math.nan
-    ablation = dataclasses.asdict(config.ablation)
-    if not uses_equation_2(config):
-        ablation |= {"k": None, "n": None}
+    ablation = dataclasses.asdict(config.ablation) | dict.fromkeys(idle_ablations(config))
     return [
         Row(
             env=config.env.name,
@@ -129,6 +136,7 @@ def _rows(config: Config, outcome: Outcome, shared: dict[str, Any]) -> list[Row]
             seed=seed,
             **ablation,
             epochs=int(record.epochs[index]),
+            total_timesteps=getattr(config.method, "total_timesteps", None),
             best_epoch=int(record.best_epoch[index]),
             aer=float(aer[index]),
             aer_std=float(best[index].std()),

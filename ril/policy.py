@@ -16,10 +16,10 @@ from ril.errors import UserError
 from ril.files import write_tensors
 from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.record import Record
-from ril.vectorized.networks import MLP, Architecture, Network
+from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 
 _ARCHITECTURES: dict[str, type[Architecture]] = {
-    kind.__name__: kind for kind in (MLP, LatentPolicy, LatentDynamics, ActionRemapping)
+    kind.__name__: kind for kind in (MLP, Dueling, LatentPolicy, LatentDynamics, ActionRemapping)
 }
 
 

@@ -24,9 +24,10 @@ class Row:
         seed: of the agent.
         k: eq. 2's slope; empty for methods without that equation.
         n: eq. 2's epochs; likewise.
-        trajectories: expert trajectories learnt from.
+        trajectories: expert trajectories learnt from; empty for methods that see none.
         expert_return: the level asked of a sub-optimal expert; empty for the usual one.
         epochs: trained, fewer than asked where the stopping rule ended the seed.
+        total_timesteps: environment steps asked for; empty where epochs are the only budget.
         best_epoch: after which the best policy was found.
         aer: mean return of fresh episodes of the best policy.
         aer_std: standard deviation of these episodes' returns.
@@ -49,9 +50,10 @@ class Row:
     seed: int
     k: float | None
     n: float | None
-    trajectories: int
+    trajectories: int | None
     expert_return: float | None
     epochs: int
+    total_timesteps: int | None
     best_epoch: int
     aer: float
     aer_std: float

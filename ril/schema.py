@@ -64,8 +64,8 @@ class CloningConfig:
 
 
 @dataclass
-class QLearningConfig:
-    """π_φ's reinforcement half (Alg. 1, line 13; eq. 1)."""
+class TemporalDifferenceConfig:
+    """Q-learning from replay (eq. 1)."""
 
     learning_rate: float = MISSING
     updates: int = MISSING
@@ -74,7 +74,32 @@ class QLearningConfig:
     discount: float = MISSING
     loss: str = MISSING
     target_interval: int = MISSING
+
+
+@dataclass
+class QLearningConfig(TemporalDifferenceConfig):
+    """π_φ's reinforcement half (Alg. 1, line 13)."""
+
     replay_trajectories: float = MISSING
+
+
+@dataclass
+class ReplayConfig:
+    """What is remembered, and what is drawn of it."""
+
+    capacity: int | None = MISSING
+    alpha: float = MISSING
+    beta: float = MISSING
+
+
+@dataclass
+class OnlineQLearningConfig(TemporalDifferenceConfig):
+    """Q-learning while acting, for a number of steps."""
+
+    double: bool = MISSING
+    train_freq: int = MISSING
+    learning_starts: int = MISSING
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
 
 
 @dataclass
@@ -136,6 +161,14 @@ class RILConfig(IUPEConfig):
     imitation: bool = MISSING
     reinforcement: bool = MISSING
     q_learning: QLearningConfig = field(default_factory=QLearningConfig)
+
+
+@dataclass
+class RILSequentialConfig(IUPEConfig):
+    """`conf/method/ril_sequential.yaml`: RIL's halves one after the other."""
+
+    total_timesteps: int = MISSING
+    q_learning: OnlineQLearningConfig = field(default_factory=OnlineQLearningConfig)
 
 
 @dataclass
@@ -210,15 +243,88 @@ class GAILConfig(MethodConfig):
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
 
+@dataclass
+class ReinforcementConfig(MethodConfig):
+    """What methods have that learn by rewards alone, and never see the expert."""
+
+    total_timesteps: int = MISSING
+
+
+@dataclass
+class LinearExplorationConfig:
+    """ε, as it falls along a straight line and then stays."""
+
+    initial_epsilon: float = MISSING
+    final_epsilon: float = MISSING
+    steps: int = MISSING
+
+
+@dataclass
+class DQNConfig(ReinforcementConfig):
+    """`conf/method/dqn.yaml` and `dqn_prioritized.yaml`: deep Q-networks."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    dueling: bool = MISSING
+    q_learning: OnlineQLearningConfig = field(default_factory=OnlineQLearningConfig)
+    exploration: LinearExplorationConfig = field(default_factory=LinearExplorationConfig)
+
+
+@dataclass
+class KFACConfig:
+    """Steps of K-FAC within a trust region; of ACKTR's actor or its critic."""
+
+    learning_rate: float = MISSING
+    kl_clip: float = MISSING
+    momentum: float = MISSING
+    damping: float = MISSING
+    stats_decay: float = MISSING
+    eigen_interval: int = MISSING
+
+
+@dataclass
+class ACKTRConfig(ReinforcementConfig):
+    """`conf/method/acktr.yaml`: actor-critic with K-FAC; Stable-Baselines' names."""
+
+    hidden: list[int] = MISSING
+    n_envs: int = MISSING
+    n_steps: int = MISSING
+    standardise_steps: int = MISSING
+    gamma: float = MISSING
+    gae_lambda: float = MISSING
+    ent_coef: float = MISSING
+    actor: KFACConfig = field(default_factory=KFACConfig)
+    critic: KFACConfig = field(default_factory=KFACConfig)
+
+
+@dataclass
+class ScheduledPPOConfig(PPOConfig):
+    """With what RL Baselines3 Zoo adds to it."""
+
+    normalize: bool = MISSING
+    linear_schedule: bool = MISSING
+
+
+@dataclass
+class PPOMethodConfig(ReinforcementConfig):
+    """`conf/method/ppo.yaml`: proximal policy optimisation."""
+
+    ppo: ScheduledPPOConfig = field(default_factory=ScheduledPPOConfig)
+
+
 #: What `conf/method/<name>.yaml` may say.
 METHOD_CONFIGS: dict[str, type[MethodConfig]] = {
     "random": MethodConfig,
     "expert": MethodConfig,
+    "acktr": ACKTRConfig,
     "bc": BCConfig,
+    "dqn": DQNConfig,
+    "dqn_prioritized": DQNConfig,
     "gail": GAILConfig,
     "ilpo": ILPOConfig,
     "iupe": IUPEConfig,
+    "ppo": PPOMethodConfig,
     "ril": RILConfig,
+    "ril_sequential": RILSequentialConfig,
 }
 
 
@@ -237,7 +343,7 @@ class EvaluationConfig:
     """How a policy is scored."""
 
     episodes: int = MISSING
-    every: int = MISSING
+    every: Any = MISSING
     selection_episodes: int = MISSING
 
 
@@ -252,5 +358,7 @@ class Config:
     seeds: Any = MISSING
     demonstrations: str | None = None
     output_dir: str = MISSING
+    processes: int | None = None
     device: str = MISSING
+    compile: Any = MISSING
     resume: bool = MISSING

@@ -21,6 +21,8 @@ class Task:
         seeds: the S seeds that are trained together.
         ablation: eq. 2's k and n.
         device: where tensors live.
+        compile: whether long trainings are compiled: True, False, or "auto" where it pays.
+        processes: over which seeds may be spread that do not train as one batch.
     """
 
     environment: Environment
@@ -28,3 +30,5 @@ class Task:
     seeds: tuple[int, ...]
     ablation: AblationConfig
     device: torch.device
+    compile: bool | str = False
+    processes: int = 1

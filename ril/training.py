@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ril.config import epochs_between_looks
 from ril.environments import Environment
 from ril.errors import UserError
 from ril.evaluation import Evaluation
@@ -100,6 +101,7 @@ def _train(cell: Cell, record: Record, evaluation: Evaluation, display: Display)
     """Fill the record; returns the seconds of earlier starts that were stopped."""
     method, settings = cell.method, cell.config.evaluation
     checkpoint = cell.folder / "checkpoint.pt"
+    every = epochs_between_looks(settings.every, method.epochs)
     before = _load_checkpoint(checkpoint, method, record)
     started = saved = time.monotonic()
     with stop_between_epochs() as stop:
@@ -108,7 +110,7 @@ def _train(cell: Cell, record: Record, evaluation: Evaluation, display: Display)
             just_stopped = record.advance(progress, method.policy.flat)
             last = progress.epoch == method.epochs
             # A stop is looked at for its own seed only: the others' looks are not to depend on it.
-            looked_at = live if last or progress.epoch % settings.every == 0 else just_stopped
+            looked_at = live if last or progress.epoch % every == 0 else just_stopped
             if looked_at.any() and progress.can_act:
                 metrics = dict(progress.metrics)
                 if progress.pseudo_labels is not None:

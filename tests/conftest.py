@@ -35,6 +35,7 @@ QUICK_RUN = (
     "evaluation.episodes=3",
     "evaluation.selection_episodes=2",
     "evaluation.every=2",
+    "processes=1",  # others take seconds to start
 )
 QUICK_CLONING = ("method.epochs=3", "method.cloning.updates=4", "method.cloning.batch_size=16")
 QUICK_IMITATION = (
@@ -43,9 +44,33 @@ QUICK_IMITATION = (
     "method.inverse_dynamics.updates=4",
     "method.inverse_dynamics.batch_size=16",
 )
+QUICK_Q_LEARNING = (
+    "method.total_timesteps=60",
+    "method.q_learning.learning_starts=10",
+    "method.q_learning.train_freq=4",
+    "method.q_learning.updates=2",
+    "method.q_learning.batch_size=16",
+    "evaluation.every=50%",  # a method of steps has an epoch for each
+)
+QUICK_DQN = (
+    *QUICK_Q_LEARNING,
+    "method.q_learning.target_interval=5",
+    "method.q_learning.replay.capacity=40",  # so that the oldest transitions give way
+    "method.exploration.steps=40",
+)
 #: … and by method.
 QUICK_METHODS = {
+    "acktr": (
+        "method.total_timesteps=100",  # 20 at random and 4 updates
+        "method.n_envs=2",
+        "method.n_steps=10",
+        "method.standardise_steps=10",
+        "method.actor.eigen_interval=2",
+        "method.critic.eigen_interval=2",
+    ),
     "bc": QUICK_CLONING,
+    "dqn": QUICK_DQN,
+    "dqn_prioritized": QUICK_DQN,
     "gail": (
         "method.total_timesteps=256",  # 4 rounds
         "method.discriminator.batch_size=16",
@@ -63,11 +88,21 @@ QUICK_METHODS = {
         "method.remapping.batch_size=16",
     ),
     "iupe": (*QUICK_IMITATION, "method.episodes=2"),
+    "ppo": (
+        "method.total_timesteps=256",  # 4 rollouts
+        "method.ppo.n_envs=2",
+        "method.ppo.n_steps=32",
+        "method.ppo.batch_size=16",
+        "method.ppo.n_epochs=2",
+        "method.ppo.normalize=true",
+        "method.ppo.linear_schedule=true",
+    ),
     "ril": (
         *QUICK_IMITATION,
         "method.q_learning.updates=4",
         "method.q_learning.batch_size=16",
     ),
+    "ril_sequential": (*QUICK_IMITATION, *QUICK_Q_LEARNING),
 }
 #: A run of RIL of a second.
 QUICK = (*QUICK_RUN, *QUICK_METHODS["ril"])

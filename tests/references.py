@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from ril.schema import KFACConfig
 from ril.vectorized.networks import MLP, Architecture, Network, parameter_count
 
 
@@ -199,3 +201,85 @@ class Remapping(nn.Module):
         embedded = leaky(self.remap_embedding(torch.eye(self.latents)[latents]))
         joint = leaky(self.remap_joint0(torch.cat((encoded, embedded), dim=1)))
         return self.remap_output(leaky(self.remap_joint1(joint)))
+
+
+def tanh_mlp(inputs: int, hidden: tuple[int, ...], outputs: int) -> MLP:
+    return MLP(inputs, hidden, outputs, attention=False, layer_norm=False, negative_slope=None)
+
+
+class PlainKFAC:
+    """K-FAC of one module in double precision, with a whole Fisher matrix per Linear layer."""
+
+    def __init__(self, module: nn.Sequential, config: KFACConfig) -> None:
+        self.module, self.config = module.double(), config
+        self.linears = [part for part in module if isinstance(part, nn.Linear)]
+        self.factors: list[tuple[Tensor, Tensor]] = []
+        self.fisher: list[Tensor] = []
+        self.velocity = torch.zeros(sum(p.numel() for p in module.parameters()))
+        self.steps = 0
+
+    def batch_factors(
+        self, x: Tensor, surprise: Callable[[Tensor, int], Tensor]
+    ) -> list[tuple[Tensor, Tensor]]:
+        """E[a aᵀ] and E[g gᵀ] of each layer, from one sample after the other."""
+        sums: list[tuple[Tensor, Tensor]] = []
+        for index, sample in enumerate(x.double()):
+            value, inputs, outputs = sample, [], []
+            for part in self.module:
+                if isinstance(part, nn.Linear):
+                    inputs.append(torch.cat((value.detach(), torch.ones(1))))
+                value = part(value)
+                if isinstance(part, nn.Linear):
+                    outputs.append(value)
+            gradients = torch.autograd.grad(surprise(value, index), outputs)
+            pairs = [
+                (torch.outer(a, a) / len(x), torch.outer(g, g) / len(x))
+                for a, g in zip(inputs, gradients, strict=True)
+            ]
+            zeros = [(torch.zeros_like(a), torch.zeros_like(g)) for a, g in pairs]
+            before = sums or zeros
+            sums = [(A + a, G + g) for (A, G), (a, g) in zip(before, pairs, strict=True)]
+        return sums
+
+    def gradient(self, loss: Tensor) -> list[Tensor]:
+        """Each layer's, in the order of a row of `Network.flat`."""
+        self.module.zero_grad()
+        loss.backward()
+        found = []
+        for layer in self.linears:
+            assert layer.weight.grad is not None
+            assert layer.bias.grad is not None
+            found.append(torch.cat((layer.weight.grad.T.flatten(), layer.bias.grad)))
+        return found
+
+    def step(self, x: Tensor, loss: Tensor, surprise: Callable[[Tensor, int], Tensor]) -> None:
+        """Descend a loss of the module's parameters; the Fisher matrix is that of surprise."""
+        config = self.config
+        self.steps += 1
+        batch = self.batch_factors(x, surprise)
+        decay = min(config.stats_decay, 1 - 1 / self.steps)
+        before = self.factors or batch
+        self.factors = [
+            (decay * A + (1 - decay) * a, decay * G + (1 - decay) * g)
+            for (A, G), (a, g) in zip(before, batch, strict=True)
+        ]
+        if (self.steps - 1) % config.eigen_interval == 0:
+            self.fisher = [torch.kron(A, G) for A, G in self.factors]
+        gradients = self.gradient(loss)
+        steps = [
+            torch.linalg.solve(F + config.damping * torch.eye(len(F)), g)
+            for F, g in zip(self.fisher, gradients, strict=True)
+        ]
+        delta = torch.cat(steps)
+        form = sum(
+            d @ F @ d + config.damping * d @ d for d, F in zip(steps, self.fisher, strict=True)
+        )
+        rate = min(config.learning_rate, float((2 * config.kl_clip / form) ** 0.5))
+        self.velocity = config.momentum * self.velocity + (1 - config.momentum) * rate * delta
+        start = 0
+        with torch.no_grad():
+            for layer in self.linears:
+                for parameter in (layer.weight.T, layer.bias):
+                    change = self.velocity[start : start + parameter.numel()]
+                    parameter.sub_(change.view(parameter.shape))
+                    start += parameter.numel()

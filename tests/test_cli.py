@@ -88,7 +88,11 @@ def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
 
 MISTAKES = {
     "env=nope": "env=nope: unknown, choose one of acrobot, cartpole",
-    "method=nope": "method=nope: unknown, choose one of bc, expert, gail, ilpo, iupe, random, ril",
+    "method=nope": "method=nope: unknown, choose one of acktr, bc, dqn, dqn_prioritized, expert, "
+    "gail, ilpo, iupe, ppo, random, ril, ril_sequential",
+    "experiment=nope": "experiment=nope: unknown, choose one of quick",
+    "compile=fast": "compile=fast: must be auto, true or false",
+    "compile=1": "compile=1: must be auto, true or false",
     "ablation=nope": "ablation=nope: unknown",
     "fidelity=nope": "fidelity=nope: unknown",
     "nope=1": "nope: no such key",
@@ -152,10 +156,10 @@ def test_a_run_that_makes_no_sense_is_refused(
 
 def test_help_names_every_choice(here: Callable[..., Ended]) -> None:
     choices = here("--help").output.partition("Keys and their values")[0]
-    for group in ("env", "method", "fidelity"):
-        [line] = [line for line in choices.splitlines() if line.strip().startswith(f"{group}= ")]
+    for group in ("env", "method", "experiment", "fidelity"):
+        [entry] = re.findall(rf"^ *{group}= .*(?:\n {{8,}}.*)*", choices, re.MULTILINE)
         for file in (config_folder() / group).glob("*.yaml"):
-            assert file.stem in line
+            assert re.search(rf"\b{file.stem}\b", entry), file.stem
 
 
 def test_a_reader_who_stops_reading_is_no_mistake(tmp_path: Path) -> None:
@@ -285,7 +289,7 @@ def test_a_run_fills_its_tables(results: Path, name: str, columns: list[str]) ->
     table = pd.read_csv(results / name)
     assert table.columns.tolist() == columns
     assert set(table["seed"]) == {0, 1}
-    may_be_empty = ["expert_return", "commit", "variant"]
+    may_be_empty = ["expert_return", "total_timesteps", "commit", "variant"]
     assert not table.drop(columns=may_be_empty, errors="ignore").isna().any().any()
 
 
@@ -419,20 +423,26 @@ def test_the_configuration_can_be_looked_at(here: Callable[..., Ended], tmp_path
     assert not (tmp_path / "outputs").exists()
 
 
-def test_interrupting_a_run_is_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "command",
+    [("seeds=1",), ("env=cartpole", "method=ppo", "seeds=2", "processes=2", "evaluation.every=1")],
+    ids=["one process", "with workers"],
+)
+def test_interrupting_a_run_is_one_line(tmp_path: Path, command: tuple[str, ...]) -> None:
     process = subprocess.Popen(
-        [SCRIPTS / "ril-run", "seeds=1"],
+        [SCRIPTS / "ril-run", *command],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONUNBUFFERED": "1"},
+        start_new_session=True,
     )
     try:
         assert process.stdout is not None
-        assert "150 epochs" in process.stdout.readline()  # training begins
+        assert " epochs" in process.stdout.readline()  # training begins
         time.sleep(0.5)
-        process.send_signal(signal.SIGINT)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does: its workers have it too
         _, errors = process.communicate(timeout=60)
     finally:
         process.kill()

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from functools import reduce
 from typing import Any
 
@@ -8,7 +10,7 @@ import pytest
 from conftest import composed
 from omegaconf import MISSING, OmegaConf
 
-from ril.config import from_hydra, run_id
+from ril.config import epochs_between_looks, from_hydra, run_id
 from ril.errors import UserError
 from ril.schema import METHOD_CONFIGS, Config
 
@@ -103,6 +105,79 @@ def at(config: Any, key: str) -> Any:
     return reduce(getattr, key.split("."), config)
 
 
+BUDGETS = ("epochs", "total_timesteps")
+
+
+@pytest.mark.parametrize("env", [(f"env={name}",) for name in NAMES] + [GYM])
+@pytest.mark.parametrize("method", METHOD_CONFIGS)
+def test_a_quick_look_is_smaller_whatever_the_method(
+    compose: Any, env: tuple[str, ...], method: str
+) -> None:
+    usual = compose(*env, f"method={method}")
+    quick = compose(*env, f"method={method}", "experiment=quick")
+    assert len(quick.seeds) < len(usual.seeds)
+    for key in ("episodes", "selection_episodes"):
+        assert getattr(quick.evaluation, key) <= getattr(usual.evaluation, key) / 2
+    for key in BUDGETS:
+        if hasattr(usual.method, key):
+            assert getattr(quick.method, key) <= getattr(usual.method, key) / 5, key
+
+
+@pytest.mark.parametrize("method", METHOD_CONFIGS)
+def test_a_quick_look_changes_no_more_than_that(compose: Any, method: str) -> None:
+    usual = compose("env=cartpole", f"method={method}")
+    quick = compose("env=cartpole", f"method={method}", "experiment=quick")
+    found = {
+        key
+        for (key, value), (_, other) in zip(leaves(quick), leaves(usual), strict=True)
+        if value != other
+    }
+    budgets = {f"method.{key}" for key in BUDGETS if hasattr(usual.method, key)}
+    assert found == {"seeds", "evaluation.episodes", "evaluation.selection_episodes"} | budgets
+
+
+def test_a_quick_look_can_be_larger(compose: Any) -> None:
+    config = compose("method=dqn", "experiment=quick", "method.total_timesteps=77", "seeds=[4]")
+    assert (config.method.total_timesteps, config.seeds) == (77, [4])
+
+
+# What the paper says of RIL* (§6.2), and what it has of its own: docs/ril.md.
+SEQUENTIALS_OWN = {
+    "name": "ril_sequential",
+    "epochs": 100,
+    "total_timesteps": 2_000_000,
+    "q_learning.updates": 1,
+    "q_learning.train_freq": 4,
+    "q_learning.learning_starts": 100,
+    "q_learning.double": False,
+    "q_learning.replay.capacity": None,
+    "q_learning.replay.alpha": 0.0,
+    "q_learning.replay.beta": 0.4,
+}
+
+
+@pytest.mark.parametrize("fidelity", ["works", "paper"])
+@pytest.mark.parametrize("env", NAMES)
+def test_rils_halves_in_turn_are_set_as_rils(compose: Any, env: str, fidelity: str) -> None:
+    ril = dict(leaves(compose(f"env={env}", f"fidelity={fidelity}").method))
+    options = (f"env={env}", "method=ril_sequential", f"fidelity={fidelity}")
+    found = dict(leaves(compose(*options).method))
+    assert found == {key: ril[key] for key in found.keys() & ril.keys()} | SEQUENTIALS_OWN
+
+
+@pytest.mark.parametrize("env", NAMES)
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [("dqn", (False, False, 0.0)), ("dqn_prioritized", (True, True, 0.6))],
+)
+def test_dqns_options_are_those_of_its_kind(
+    compose: Any, env: str, method: str, options: tuple[Any, ...]
+) -> None:
+    dqn = compose(f"env={env}", f"method={method}").method
+    assert (dqn.dueling, dqn.q_learning.double, dqn.q_learning.replay.alpha) == options
+    assert dqn.total_timesteps == 2_000_000  # §5.3
+
+
 # §4.1: neurons of the two layers, learning rates of M_θ, of π_φ by imitation, and by Q-learning.
 TOPOLOGIES = {
     "cartpole": ([8, 8], 5e-4, 5e-4, 5e-4),
@@ -180,9 +255,9 @@ def test_seeds_are_a_count_or_a_list(compose: Any, given: str, seeds: list[int])
     assert compose(f"seeds={given}").seeds == seeds
 
 
-def checked(key: str, value: Any) -> Config:
-    """The usual configuration with one value changed."""
-    changed = composed().copy()
+def checked(key: str, value: Any, method: str = "ril") -> Config:
+    """The usual configuration of a method with one value changed."""
+    changed = composed(f"method={method}").copy()
     OmegaConf.update(changed, key, value)
     return from_hydra(changed)
 
@@ -218,14 +293,30 @@ POSITIVE = (
     "evaluation.episodes",
     "evaluation.every",
     "evaluation.selection_episodes",
+    "processes",
+)
+
+
+POSITIVE_OF_DQN = (
+    "method.total_timesteps",
+    "method.exploration.steps",
+    "method.q_learning.learning_rate",
+    "method.q_learning.updates",
+    "method.q_learning.train_freq",
+    "method.q_learning.batch_size",
+    "method.q_learning.gradient_clip",
+    "method.q_learning.replay.capacity",
 )
 
 
 @pytest.mark.parametrize("value", [0, -1])
-@pytest.mark.parametrize("key", POSITIVE)
-def test_what_must_be_positive_is(key: str, value: int) -> None:
+@pytest.mark.parametrize(
+    ("method", "key"),
+    [("ril", key) for key in POSITIVE] + [("dqn", key) for key in POSITIVE_OF_DQN],
+)
+def test_what_must_be_positive_is(method: str, key: str, value: int) -> None:
     with pytest.raises(UserError, match=rf"^{key}={value}(\.0)?: must be .*above 0"):
-        checked(key, value)
+        checked(key, value, method)
 
 
 @pytest.mark.parametrize(
@@ -254,6 +345,15 @@ def test_what_must_be_positive_is(key: str, value: int) -> None:
         ("env.name", "../up", "below output_dir"),
         ("env.name", "/up", "below output_dir"),
         ("method.inverse_dynamics.labels", "foo", "one of argmax, sample"),
+        ("evaluation.every", "often", "a share of them like 1%"),
+        ("evaluation.every", "0%", "a share of them like 1%"),
+        ("evaluation.every", "101%", "a share of them like 1%"),
+        ("evaluation.every", 2.5, "a share of them like 1%"),
+        ("compile", "fast", "must be auto, true or false"),
+        ("compile", None, "must be auto, true or false"),
+        ("compile", 1, "must be auto, true or false"),
+        ("compile", 0, "must be auto, true or false"),
+        ("compile", "true ", "must be auto, true or false"),
     ],
 )
 def test_a_value_out_of_bounds_is_refused_by_name(key: str, value: Any, says: str) -> None:
@@ -283,6 +383,53 @@ def test_a_value_at_its_bounds_is_taken(key: str, value: Any) -> None:
     assert at(checked(key, value), key) == value
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("method.q_learning.learning_starts", -1, "0 or more"),
+        ("method.q_learning.target_interval", -1, "0 or more"),
+        ("method.q_learning.replay.alpha", -0.1, "0 or more"),
+        ("method.q_learning.replay.beta", -0.1, "within 0..1"),
+        ("method.q_learning.replay.beta", 1.1, "within 0..1"),
+        ("method.exploration.initial_epsilon", -0.1, "within 0..1"),
+        ("method.exploration.initial_epsilon", 1.1, "within 0..1"),
+        ("method.exploration.final_epsilon", -0.1, "within 0..1"),
+        ("method.exploration.final_epsilon", 1.1, "within 0..1"),
+        ("method.q_learning.discount", 1.1, "within 0..1"),
+        ("method.q_learning.loss", "l1", "one of huber, mse"),
+        ("method.network.hidden", [64, 0], "above 0"),
+    ],
+)
+@pytest.mark.parametrize("method", ["dqn", "dqn_prioritized"])
+def test_a_value_of_dqn_out_of_bounds_is_refused_by_name(
+    method: str, key: str, value: Any, says: str
+) -> None:
+    with pytest.raises(UserError) as refused:
+        checked(key, value, method)
+    assert str(refused.value).startswith(f"{key}=")
+    assert says in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("method.q_learning.learning_starts", 0),
+        ("method.q_learning.target_interval", 0),
+        ("method.q_learning.replay.alpha", 0),
+        ("method.q_learning.replay.alpha", 1.5),
+        ("method.q_learning.replay.beta", 0),
+        ("method.q_learning.replay.beta", 1),
+        ("method.exploration.initial_epsilon", 0),
+        ("method.exploration.final_epsilon", 1),
+        ("compile", True),
+        ("compile", False),
+        ("compile", "auto"),
+    ],
+)
+def test_a_value_of_dqn_at_its_bounds_is_taken(key: str, value: Any) -> None:
+    assert at(checked(key, value, "dqn"), key) == value
+
+
 def identifier(compose: Any, *overrides: str, sha256: str = "0") -> str:
     return run_id(compose(*overrides), sha256)
 
@@ -294,7 +441,7 @@ def test_run_id_is_ten_hexadecimal_digits(compose: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "override", ["output_dir=elsewhere", "resume=false", "demonstrations=copy.npz"]
+    "override", ["output_dir=elsewhere", "resume=false", "demonstrations=copy.npz", "processes=3"]
 )
 def test_run_id_does_not_depend_on_what_changes_no_number(compose: Any, override: str) -> None:
     assert identifier(compose, override) == identifier(compose)
@@ -324,7 +471,7 @@ def leaves(node: Any, key: str = "") -> list[tuple[str, Any]]:
 def test_run_id_depends_on_every_other_key(compose: Any) -> None:
     plain = identifier(compose)
     for key, value in leaves(compose()):
-        if key in ("output_dir", "resume", "demonstrations"):
+        if key in ("output_dir", "resume", "demonstrations", "processes"):
             continue
         config = compose()
         parent, _, name = key.rpartition(".")
@@ -339,11 +486,46 @@ def test_run_id_depends_on_equation_2_where_it_is_used(
     compose: Any, method: str, override: str
 ) -> None:
     plain, changed = (identifier(compose, f"method={method}", *o) for o in ((), (override,)))
-    assert (changed != plain) is (method == "ril")
+    assert (changed != plain) is (method in ("ril", "ril_sequential"))
+
+
+def test_run_id_is_as_if_there_were_no_compilation_where_none_is_asked_for(compose: Any) -> None:
+    config = compose("method=dqn", "compile=auto")
+    found = run_id(config, "0")
+    content = dataclasses.asdict(config) | {"demonstrations": "0"}
+    for key in ("output_dir", "resume", "compile", "processes"):
+        del content[key]
+    content["ablation"] = {"expert_return": None}
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    assert found == digest[:10]
+
+
+def test_run_id_depends_on_compilation_where_it_is_asked_for(compose: Any) -> None:
+    found = {identifier(compose, "method=dqn", f"compile={c}") for c in ("auto", "true", "false")}
+    assert len(found) == 3
 
 
 def test_run_id_depends_on_the_demonstrations_content(compose: Any) -> None:
     assert identifier(compose, sha256="1") != identifier(compose, sha256="0")
+
+
+@pytest.mark.parametrize(
+    ("every", "epochs", "between"),
+    [
+        (5, 1000, 5),
+        ("1%", 1000, 10),
+        ("1%", 150, 1),
+        ("1%", 199, 1),
+        ("1%", 20, 1),
+        ("1%", 7813, 78),
+        ("0.5%", 1000, 5),
+        ("100%", 30, 30),
+    ],
+)
+def test_looks_are_every_so_many_epochs_or_a_share_of_them(
+    every: Any, epochs: int, between: int
+) -> None:
+    assert epochs_between_looks(every, epochs) == between
 
 
 def test_run_id_does_not_depend_on_how_a_value_was_chosen(compose: Any) -> None:

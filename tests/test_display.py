@@ -1,13 +1,18 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
+import torch
 from rich.console import Console
 
+from ril import display as display_module
 from ril import training
 from ril.display import ConsoleDisplay
 from ril.experiment import run
@@ -56,6 +61,37 @@ def test_a_cell_of_the_paper_has_the_papers_number_beside_it(quick: Any, tmp_pat
 
 def test_another_cell_has_none(quick: Any, tmp_path: Path) -> None:
     assert "the paper says" not in shown(quick("ablation.k=9"), tmp_path, live=False)
+
+
+def rates(config: Any, folder: Path, times: list[float], samples: list[int]) -> list[str]:
+    """What a log says of the steps per second, after epochs at such times and by such samples."""
+    written = io.StringIO()
+    clock = iter([times[0] - 20, *times])
+    with pytest.MonkeyPatch.context() as patch:
+        now = [next(clock)]
+        patch.setattr(display_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+        display = ConsoleDisplay(Console(file=written, width=200), live=False)
+        display.started(config, folder, 9)
+        for epoch, (time, taken) in enumerate(zip(times, samples, strict=True), start=1):
+            now[0] = time
+            each, none = np.array([taken, taken]), np.zeros(2, dtype=np.int64)
+            stopped = np.zeros(2, dtype=bool)
+            progress = Progress(epoch, each, none, 0, stopped)
+            display.advanced(progress, Record((0, 1), torch.zeros(2, 1)))
+    lines = [line for line in written.getvalue().splitlines() if " epoch " in line]
+    assert len(lines) == len(times)
+    found = (re.search(r"steps/s ([\d,.]+) \(all seeds\)", line) for line in lines)
+    return ["" if match is None else match[1] for match in found]
+
+
+def test_a_log_says_how_fast_it_steps_since_the_first_epoch(quick: Any, tmp_path: Path) -> None:
+    # The two seeds together take 2 · (6000 − 1000) steps in 20 s, and 2 · 29000 in 40 s.
+    found = rates(quick(), tmp_path, [100.0, 120.0, 140.0], [1000, 6000, 30_000])
+    assert found == ["", "500", "1,450"]
+
+
+def test_a_method_that_takes_no_steps_has_no_rate(quick: Any, tmp_path: Path) -> None:
+    assert rates(quick(), tmp_path, [100.0, 120.0], [0, 0]) == ["", ""]
 
 
 class Interrupted(ConsoleDisplay):

@@ -13,7 +13,7 @@ from ril.errors import UserError
 from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.policy import load_policy, save_policies
 from ril.record import Record
-from ril.vectorized.networks import MLP, Architecture, Network
+from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 
 ARCHITECTURE = MLP(inputs=4, hidden=(6,), outputs=2)
 SEEDS = (3, 8)
@@ -49,6 +49,7 @@ def test_a_loaded_policy_is_the_seeds_network_on_scaled_observations(
 
 KINDS = [
     dataclasses.replace(ARCHITECTURE, layer_norm=False, negative_slope=None),
+    Dueling(dataclasses.replace(ARCHITECTURE, hidden=(5, 3), outputs=1), ARCHITECTURE),
     LatentPolicy(
         LatentDynamics(4, 3, encoder=(5, 6), generator=7, negative_slope=0.1),
         ActionRemapping(4, 3, 2, encoder=(5, 6), hidden=(8, 9), negative_slope=0.3),

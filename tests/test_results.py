@@ -22,6 +22,7 @@ ROW = Row(
     trajectories=1,
     expert_return=None,
     epochs=150,
+    total_timesteps=2_000_000,
     best_epoch=95,
     aer=-105.25,
     aer_std=6.5,

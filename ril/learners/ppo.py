@@ -1,18 +1,16 @@
-"""Stable-Baselines3's PPO as a part: one rollout at a time, its rewards given from outside."""
+"""Stable-Baselines3's PPO as a part: a rollout at a time, by its own or by given rewards."""
 
 from __future__ import annotations
 
 import dataclasses
 import random
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -21,6 +19,7 @@ from torch import Tensor, nn
 
 from ril.environments import Environment, Floats
 from ril.errors import UserError
+from ril.learners.stable_baselines import Normalised, StableBaselinesEnvironments
 from ril.schema import PPOConfig
 from ril.vectorized.networks import MLP
 from ril.vectorized.rollout import Integers
@@ -49,21 +48,38 @@ class PPOAgent:
         config: hyperparameters.
         environment: the task; the agent sees scaled observations.
         seed: of networks, actions, minibatches and episodes.
+        normalize: whether observations and rewards are normalised by what was met so far.
+        falls_over: environment steps over which learning rate and clip range fall linearly to 0;
+            None keeps them.
 
     Raises:
         UserError: minibatches do not fit into a rollout.
     """
 
-    def __init__(self, config: PPOConfig, environment: Environment, seed: int) -> None:
+    def __init__(
+        self,
+        config: PPOConfig,
+        environment: Environment,
+        seed: int,
+        *,
+        normalize: bool = False,
+        falls_over: int | None = None,
+    ) -> None:
         rollout = config.n_envs * config.n_steps
         if config.batch_size < 2 or rollout % config.batch_size:
             raise UserError(
                 f"method.ppo.batch_size={config.batch_size}: must be above 1 and divide a rollout, "
                 f"n_envs · n_steps = {rollout}"
             )
-        self._environments = _StableBaselinesEnvironments(environment, seed, config.n_envs)
+        self._stepped = SteppedEnvironments(environment, [seed], config.n_envs, "ppo")
+        self._environments: VecEnv = StableBaselinesEnvironments(self._stepped)
+        if normalize:
+            self._environments = Normalised(self._environments, config.gamma)
+        self._falls_over = falls_over
+        settings: dict[str, Any] = {name: getattr(config, name) for name in _OF_PPO}
+        if falls_over is not None:
+            settings |= {name: _falling(settings[name]) for name in ("learning_rate", "clip_range")}
         self._randomness = _randomness()
-        settings = {k: v for k, v in dataclasses.asdict(config).items() if k not in _NOT_OF_PPO}
         with self._own_randomness():
             self.model = PPO(
                 "MlpPolicy",
@@ -77,35 +93,41 @@ class PPOAgent:
         self.model.ep_info_buffer = self.model.ep_success_buffer = deque(maxlen=1)
         self.model._last_obs = self._environments.reset()
         self.model._last_episode_starts = np.ones(config.n_envs, dtype=bool)
-        self._callback = _Nothing()
-        self._callback.init_callback(self.model)
+        self._cut = _CutEpisodes()
+        self._cut.init_callback(self.model)
 
     def collect(self) -> tuple[Floats, Integers]:
         """Play `n_steps` in each of the K copies.
 
         Returns:
-            (n_steps·K, obs) scaled states, and (n_steps·K,) the actions taken in them.
+            (n_steps·K, obs) scaled states, normalised if the agent does that, and (n_steps·K,)
+            the actions taken in them.
         """
         model = self.model
-        self._environments.begin_rollout()
         with self._own_randomness():
             model.collect_rollouts(
-                self._environments, self._callback, model.rollout_buffer, model.n_steps
+                self._environments, self._cut, model.rollout_buffer, model.n_steps
             )
         buffer = model.rollout_buffer
         observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
         return observations, buffer.actions.astype(np.int64).ravel()
 
-    def improve(self, rewards: Floats) -> None:
+    def improve(self, rewards: Floats | None = None) -> None:
         """PPO's update on the last rollout.
 
         Args:
-            rewards: (n_steps·K,) for what `collect` gave; the environment's own are not used.
+            rewards: (n_steps·K,) for what `collect` gave, in place of the environment's own.
         """
         model, buffer = self.model, self.model.rollout_buffer
-        buffer.rewards[:] = rewards.reshape(buffer.rewards.shape)
+        if rewards is not None:
+            buffer.rewards[:] = rewards.reshape(buffer.rewards.shape)
+        if self._falls_over is not None:
+            # Not below 0 in a last rollout that is longer than what was left (docs/ppo.md, P4).
+            model._current_progress_remaining = max(
+                0.0, 1.0 - model.num_timesteps / self._falls_over
+            )
         with self._own_randomness():
-            for step, copy, final_observation in self._environments.cut:
+            for step, copy, final_observation in self._cut.episodes:
                 # An episode that the step limit cut would have gone on (as in SB3's own rollouts).
                 buffer.rewards[step, copy] += model.gamma * self._value(final_observation[None])[0]
             assert isinstance(model._last_obs, np.ndarray)
@@ -121,13 +143,26 @@ class PPOAgent:
         flat: Floats = values.flatten().numpy()
         return flat
 
+    def diagnostics(self) -> dict[str, float]:
+        """What Stable-Baselines3 logs of its last update, means over its minibatches."""
+        logged = self.model.logger.name_to_value
+        return {
+            "entropy": -float(logged["train/entropy_loss"]),
+            "value_loss": float(logged["train/value_loss"]),
+            "approximate_kl": float(logged["train/approx_kl"]),
+        }
+
     def actor(self) -> Tensor:
-        """(P,) the policy's parameters, as a row of a `Network` of `actor_topology`."""
+        """(P,) the policy's parameters, as a row of a `Network` of `actor_topology`.
+
+        It takes scaled observations that are not normalised: its first layer does that.
+        """
         policy = self.model.policy
-        layers = [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)]
-        assert isinstance(policy.action_net, nn.Linear)
-        parameters = [p for m in (*layers, policy.action_net) for p in (m.weight.T, m.bias)]
-        return torch.cat([p.detach().reshape(-1) for p in parameters])
+        modules = (*policy.mlp_extractor.policy_net, policy.action_net)
+        layers = [(m.weight.T.detach(), m.bias.detach()) for m in modules if type(m) is nn.Linear]
+        if isinstance(self._environments, Normalised):
+            layers[0] = self._environments.fold(*layers[0])
+        return torch.cat([parameter.reshape(-1) for layer in layers for parameter in layer])
 
     @contextmanager
     def _own_randomness(self) -> Iterator[None]:
@@ -144,25 +179,42 @@ class PPOAgent:
         """All that the next rollout depends on, as tensors and plain values."""
         starts = self.model._last_episode_starts
         assert starts is not None
-        return {
+        state = {
             "policy": self.model.policy.state_dict(),
             "optimizer": self.model.policy.optimizer.state_dict(),
+            "steps": self.model.num_timesteps,
             "episode_starts": starts.tolist(),
-            "environments": self._environments.stepped.state_dict(),
+            "environments": self._stepped.state_dict(),
             "randomness": self._randomness,
         }
+        if isinstance(self._environments, Normalised):
+            state["normalisation"] = self._environments.state_dict()
+        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from where `state_dict` was taken."""
         self.model.policy.load_state_dict(state["policy"])
         self.model.policy.optimizer.load_state_dict(state["optimizer"])
+        self.model.num_timesteps = state["steps"]
         self.model._last_episode_starts = np.array(state["episode_starts"])
-        self._environments.stepped.load_state_dict(state["environments"])
-        self.model._last_obs = self._environments.stepped.observations
+        self._stepped.load_state_dict(state["environments"])
+        self.model._last_obs = self._stepped.observations
+        if isinstance(self._environments, Normalised):
+            self._environments.load_state_dict(state["normalisation"])
+            self.model._last_obs = self._environments.normalize_obs(self._stepped.observations)
         self._randomness = state["randomness"]
 
 
-_NOT_OF_PPO = ("hidden", "n_envs")  # keys of PPOConfig that PPO takes by other ways
+#: Keys of PPOConfig that PPO takes by the same name; the other two are its network's and its
+#: environments'.
+_OF_PPO = tuple(
+    field.name for field in dataclasses.fields(PPOConfig) if field.name not in ("hidden", "n_envs")
+)
+
+
+def _falling(value: float) -> Callable[[float], float]:
+    """A value that falls with the share of the steps that is left."""
+    return lambda left: left * value
 
 
 def _randomness() -> dict[str, Any]:
@@ -181,61 +233,23 @@ def _set_randomness(state: dict[str, Any]) -> None:
     np.random.set_state(("MT19937", np.array(key, dtype=np.uint32), *rest))  # noqa: NPY002
 
 
-class _Nothing(BaseCallback):
-    """Stable-Baselines3 wants a callback; this one lets it go on."""
-
-    def _on_step(self) -> bool:
-        return True
-
-
-class _StableBaselinesEnvironments(VecEnv):
-    """`SteppedEnvironments` of one seed, as Stable-Baselines3 wants them.
+class _CutEpisodes(BaseCallback):
+    """Notes what Stable-Baselines3's rollout meets where the step limit cut an episode.
 
     Attributes:
-        cut: (step of the rollout, copy, final observation) of each episode that the limit cut.
+        episodes: (step of the rollout, copy, final observation as the policy would see it).
     """
 
-    def __init__(self, environment: Environment, seed: int, copies: int) -> None:
-        self.stepped = SteppedEnvironments(environment, [seed], copies, "ppo")
-        self.cut: list[tuple[int, int, Floats]] = []
-        self._step = 0
-        self._chosen = np.zeros(copies, dtype=np.int64)
-        self._no_infos: list[dict[str, Any]] = [{} for _ in range(copies)]
-        super().__init__(
-            copies,
-            gym.spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32),
-            gym.spaces.Discrete(environment.action_count),
-        )
+    def __init__(self) -> None:
+        super().__init__()
+        self.episodes: list[tuple[int, int, Floats]] = []
 
-    def begin_rollout(self) -> None:
-        """Count steps from 0 again."""
-        self._step = 0
-        self.cut.clear()
+    def _on_rollout_start(self) -> None:
+        self.episodes.clear()
 
-    def reset(self) -> Floats:
-        return self.stepped.observations
-
-    def step_async(self, actions: NDArray[np.int64]) -> None:
-        self._chosen = actions
-
-    def step_wait(self) -> tuple[Floats, Floats, NDArray[np.bool_], list[dict[str, Any]]]:
-        step = self.stepped.step(self._chosen)
-        for copy in np.flatnonzero(step.truncated).tolist():
-            self.cut.append((self._step, copy, step.next_observations[copy]))
-        self._step += 1
-        dones = step.terminated | step.truncated
-        return self.stepped.observations, step.rewards, dones, self._no_infos
-
-    def close(self) -> None: ...
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [None] * self.num_envs
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        raise NotImplementedError
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kw: Any) -> list[Any]:
-        raise NotImplementedError
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False] * self.num_envs
+    def _on_step(self) -> bool:
+        for copy, info in enumerate(self.locals["infos"]):
+            if info:
+                step, final = self.locals["n_steps"], info["terminal_observation"]
+                self.episodes.append((step, copy, final))
+        return True

@@ -4,46 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional
 
-from ril.schema import QLearningConfig
+from ril.learners.fused_update import fused_step
+from ril.learners.td import td_errors, td_losses
+from ril.schema import TemporalDifferenceConfig
 from ril.vectorized.networks import Network
-from ril.vectorized.replay import Batch, Replay, random_indices
+from ril.vectorized.priorities import Priorities
+from ril.vectorized.replay import Replay, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
-
-
-def td_targets(batch: Batch, next_values: Tensor, discount: float) -> Tensor:
-    """R_{t+1} + γ max_a Q(S_{t+1}, a), without the second term at terminal states (eq. 1).
-
-    Args:
-        batch: B transitions per seed.
-        next_values: (S, B, |A|) Q(S_{t+1}, ·).
-        discount: γ.
-
-    Returns:
-        (S, B).
-    """
-    return batch.rewards + discount * (1 - batch.terminated) * next_values.amax(dim=-1)
-
-
-def td_loss(values: Tensor, batch: Batch, targets: Tensor, loss: str) -> Tensor:
-    """Mean loss of the temporal differences of eq. 1.
-
-    Args:
-        values: (S, B, |A|) Q(S_t, ·).
-        batch: whose actions say which of them were taken.
-        targets: (S, B), without a gradient.
-        loss: "huber" (threshold 1) or "mse".
-
-    Returns:
-        (S,).
-    """
-    taken = values.gather(-1, batch.actions[..., None]).squeeze(-1)
-    distance = functional.smooth_l1_loss if loss == "huber" else functional.mse_loss
-    return distance(taken, targets, reduction="none").mean(dim=1)
 
 
 class QLearning:
@@ -54,51 +27,91 @@ class QLearning:
         replay: each seed's memory, filled by the method.
         config: `method.q_learning`.
         streams: from which minibatches are drawn.
+        priorities: of the memory's slots, which the method gives to new ones; None draws uniformly.
+        double: whether the policy, not the target network, chooses the next action.
+        fused: whether each step is one compiled graph; the same but for rounding.
     """
 
     def __init__(
-        self, policy: Network, replay: Replay, config: QLearningConfig, streams: Streams
+        self,
+        policy: Network,
+        replay: Replay,
+        config: TemporalDifferenceConfig,
+        streams: Streams,
+        *,
+        priorities: Priorities | None = None,
+        double: bool = False,
+        fused: bool = False,
     ) -> None:
         self.policy = policy
         self.replay = replay
         self.config = config
+        self.priorities = priorities
+        self.double = double
         self._streams = streams
         self._target = policy.copy() if config.target_interval else policy
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
+        self._fused = None
+        if fused:
+            networks = policy, self._target
+            self._fused = fused_step(*networks, self._optimizer, config, double=double)
 
-    def train(self, updates: int) -> Tensor:
+    def train(self, updates: int, beta: float = 1.0) -> Tensor:
         """Algorithm 1, line 13: minibatch steps of the temporal-difference loss.
 
         Args:
             updates: how many steps.
+            beta: how much of the bias of prioritised draws is undone.
 
         Returns:
             (S,) mean loss over them.
         """
         config, device = self.config, self.policy.flat.device
         uniform = self._streams.uniform(updates, config.batch_size)
-        indices = random_indices(uniform, self.replay.sizes).to(device)
-        memory = self.replay.everything()
-        total = torch.zeros(len(indices), device=device)
+        total = torch.zeros(len(uniform), device=device)
         for update in range(updates):
             if config.target_interval and self._optimizer.steps % config.target_interval == 0:
                 self._target.flat.copy_(self.policy.flat)
-            batch = memory.at(indices[:, update])
-            with torch.no_grad():
-                targets = td_targets(batch, self._target(batch.next_observations), config.discount)
-            losses = td_loss(self.policy(batch.observations), batch, targets, config.loss)
-            self._optimizer.step(losses)
-            total += losses.detach()
+            slots = self._draw(uniform[:, update])
+            weights = None
+            if self.priorities is not None:
+                weights = self.priorities.importance(slots, self.replay.sizes, beta)
+            errors = self._descend(slots, weights)
+            if self.priorities is not None:
+                self.priorities.update(slots, errors)
+            total += td_losses(errors, config.loss).mean(dim=1)
         return total / max(updates, 1)
 
+    def _descend(self, slots: Tensor, weights: Tensor | None) -> Tensor:
+        """One step on the transitions in slots (S, B), each weighing so much; returns their δ."""
+        memory = self.replay.everything()
+        if self._fused is not None:
+            return self._fused(memory, slots, weights)
+        config = self.config
+        errors = td_errors(
+            self.policy, self._target, memory.at(slots), config.discount, double=self.double
+        )
+        losses = td_losses(errors, config.loss)
+        self._optimizer.step((losses if weights is None else weights * losses).mean(dim=1))
+        return errors.detach()
+
+    def _draw(self, uniform: NDArray[np.float32]) -> Tensor:
+        """(S, B) random numbers in [0, 1) to as many filled slots."""
+        if self.priorities is not None:
+            return self.priorities.draw(uniform, self.replay.sizes)
+        return random_indices(uniform, self.replay.sizes).to(self.policy.flat.device)
+
     def state_dict(self) -> dict[str, Any]:
-        """Optimiser, target network, replay and random streams."""
-        return {
+        """Optimiser, target network, replay, its priorities, and random streams."""
+        state = {
             "optimizer": self._optimizer.state_dict(),
             "target": self._target.flat,
             "replay": self.replay.state_dict(),
             "streams": self._streams.state_dict(),
         }
+        if self.priorities is not None:
+            state["priorities"] = self.priorities.state_dict()
+        return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from where `state_dict` was taken."""
@@ -106,3 +119,5 @@ class QLearning:
         self._target.flat.copy_(state["target"])
         self.replay.load_state_dict(state["replay"])
         self._streams.load_state_dict(state["streams"])
+        if self.priorities is not None:
+            self.priorities.load_state_dict(state["priorities"])

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from ril.demonstrations.trajectories import LabelledTransitions
+from ril.environments import Floats
 from ril.learners.discriminator import Discriminator, state_action_pairs
 from ril.learners.ppo import PPOAgent, actor_topology
 from ril.methods.base import Progress
 from ril.schema import GAILConfig
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
+from ril.vectorized.processes import Spread
 from ril.vectorized.streams import Streams
 
 
@@ -32,9 +36,11 @@ class GAIL:
         environment, seeds = task.environment, task.seeds
         self.round_steps = config.ppo.n_envs * config.ppo.n_steps
         self.epochs = math.ceil(config.total_timesteps / self.round_steps)
-        self.agents = [PPOAgent(config.ppo, environment, seed) for seed in seeds]
+        self.agents = Spread(
+            [partial(PPOAgent, config.ppo, environment, seed) for seed in seeds], task.processes
+        )
         topology = actor_topology(config.ppo, environment)
-        flat = torch.stack([agent.actor() for agent in self.agents]).to(task.device)
+        flat = torch.stack(self.agents.each(PPOAgent.actor)).to(task.device)
         self.policy = Network(topology, flat)
         features = environment.observation_size + environment.action_count
         hidden = tuple(config.discriminator.hidden)
@@ -52,10 +58,10 @@ class GAIL:
 
     def train(self) -> Iterator[Progress]:
         """Rounds of one rollout each (their Algorithm 1, with its line numbers)."""
-        seeds = len(self.agents)
+        seeds = len(self.policy.flat)
         while self.epoch < self.epochs:  # line 2
             self.epoch += 1
-            rollouts = [agent.collect() for agent in self.agents]  # line 3
+            rollouts = self.agents.each(PPOAgent.collect)  # line 3
             observations, actions = (
                 torch.from_numpy(np.stack(part)).to(self._device)
                 for part in zip(*rollouts, strict=True)
@@ -63,10 +69,10 @@ class GAIL:
             pairs = state_action_pairs(observations, actions, self._actions)
             metrics = self.discriminator.train(self._expert, pairs)  # line 4
             rewards = self.discriminator.rewards(pairs).cpu().numpy()
-            for agent, reward in zip(self.agents, rewards, strict=True):
-                agent.improve(reward)  # line 5
+            self.policy.flat.copy_(
+                torch.stack(self.agents.each(_improved, list(rewards)))
+            )  # line 5
             metrics["imitation_reward"] = rewards.mean(axis=1, dtype=np.float64)
-            self._export()
             yield Progress(
                 self.epoch,
                 env_samples=np.full(seeds, self.epoch * self.round_steps),
@@ -76,22 +82,23 @@ class GAIL:
                 metrics=metrics,
             )
 
-    def _export(self) -> None:
-        """Have `policy` act as the agents would."""
-        self.policy.flat.copy_(torch.stack([agent.actor() for agent in self.agents]))
-
     def state_dict(self) -> dict[str, Any]:
         """All that the next round depends on."""
         return {
             "epoch": self.epoch,
             "discriminator": self.discriminator.state_dict(),
-            "agents": [agent.state_dict() for agent in self.agents],
+            "agents": self.agents.each(PPOAgent.state_dict),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from where `state_dict` was taken."""
         self.epoch = state["epoch"]
         self.discriminator.load_state_dict(state["discriminator"])
-        for agent, saved in zip(self.agents, state["agents"], strict=True):
-            agent.load_state_dict(saved)
-        self._export()
+        self.agents.each(PPOAgent.load_state_dict, state["agents"])
+        self.policy.flat.copy_(torch.stack(self.agents.each(PPOAgent.actor)))
+
+
+def _improved(agent: PPOAgent, rewards: Floats) -> Tensor:
+    """A policy step; returns the actor after it."""
+    agent.improve(rewards)
+    return agent.actor()

@@ -6,6 +6,8 @@ import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from ril.demonstrations.trajectories import Demonstrations, StateTransitions
 from ril.environments import Environment
 from ril.methods.base import Method
@@ -19,10 +21,12 @@ class Entry:
 
     Attributes:
         path: module and class.
-        sees_actions: whether the expert's actions are among it; states always are.
+        sees_expert: whether it learns from the expert at all.
+        sees_actions: whether the expert's actions are among what it sees; states always are.
     """
 
     path: str
+    sees_expert: bool = True
     sees_actions: bool = False
 
     def load(self) -> Callable[[MethodConfig, Task], Method]:
@@ -35,13 +39,21 @@ class Entry:
 
     def shown(self, expert: Demonstrations, environment: Environment) -> StateTransitions:
         """What it may see of an expert."""
+        if not self.sees_expert:
+            nothing = np.zeros((0, environment.observation_size), dtype=np.float32)
+            return StateTransitions(nothing, nothing, trajectories=0)
         return expert.labelled(environment) if self.sees_actions else expert.states(environment)
 
 
 METHODS = {
+    "acktr": Entry("ril.methods.acktr:ACKTR", sees_expert=False),
     "bc": Entry("ril.methods.bc:BC", sees_actions=True),
+    "dqn": Entry("ril.methods.dqn:DQN", sees_expert=False),
+    "dqn_prioritized": Entry("ril.methods.dqn:DQN", sees_expert=False),
     "gail": Entry("ril.methods.gail:GAIL", sees_actions=True),
     "ilpo": Entry("ril.methods.ilpo:ILPO"),
     "iupe": Entry("ril.methods.iupe:IUPE"),
+    "ppo": Entry("ril.methods.ppo:PPO", sees_expert=False),
     "ril": Entry("ril.methods.ril:RIL"),
+    "ril_sequential": Entry("ril.methods.ril_sequential:SequentialRIL"),
 }

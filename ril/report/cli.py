@@ -21,7 +21,9 @@ def main() -> None:
     parser = _Parser(
         prog="ril-report", description="Show the rows on disk beside the paper's numbers."
     )
-    parser.add_argument("table", choices=["table2", "table4"], help="which of the paper's tables")
+    parser.add_argument(
+        "table", choices=["table2", "table4", "table5"], help="which of the paper's tables"
+    )
     parser.add_argument(
         "--outputs",
         nargs="+",
@@ -36,11 +38,11 @@ def main() -> None:
         sys.exit(f"ril-report: --outputs {', '.join(missing)}: no such folder")
 
     from ril.errors import UserError
-    from ril.report.tables import imitation_table
+    from ril.report.tables import results_table
     from ril.results import load_results
 
     try:
-        print(imitation_table(load_results(arguments.outputs), arguments.table))
+        print(results_table(load_results(arguments.outputs), arguments.table))
     except UserError as error:
         sys.exit(f"ril-report: {error}")
 

@@ -17,6 +17,16 @@ ENVIRONMENTS = {
 }
 
 
+#: The paper's names of methods that are not ours in capitals.
+_METHODS = {"DQN₁": "dqn", "DQN₂": "dqn_prioritized", "RIL*": "ril_sequential"}
+WITHOUT_EXPERT = ("DQN₁", "DQN₂", "PPO", "ACKTR")
+
+
+def method_named(name: str) -> str:
+    """`method=` of a method by the paper's name."""
+    return _METHODS.get(name, name.lower())
+
+
 @cache
 def paper() -> dict[str, Any]:
     """The whole file, by table."""
@@ -56,7 +66,7 @@ def paper_cell(rows: pd.DataFrame) -> str | None:
     first = rows.iloc[0]
     for table, content in paper().items():
         for method, by_environment in content["returns"].items():
-            known = method.lower() == first["method"] and first["env"] in by_environment
+            known = method_named(method) == first["method"] and first["env"] in by_environment
             if known and bool(in_setting(rows, table).iloc[0]):
                 short = shortfall(rows, table, method)
                 ran = f"; this was {' and '.join(short)}" if short else ""

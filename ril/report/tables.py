@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import pandas as pd
 
-from ril.report.paper import ENVIRONMENTS, in_setting, number, paper, shortfall
+from ril.report.paper import (
+    ENVIRONMENTS,
+    WITHOUT_EXPERT,
+    in_setting,
+    method_named,
+    number,
+    paper,
+    shortfall,
+)
 
 TUNING_SEEDS = 100  # settings are chosen on seeds from here up, which are not reported on
 
 
-def imitation_table(rows: pd.DataFrame, table: str) -> str:
-    """Table 2, or the imitation half of Table 4: ours, the paper's, and what is left to run.
+def results_table(rows: pd.DataFrame, table: str) -> str:
+    """A table of returns by method and environment: ours, the paper's, and what is left to run.
 
     Args:
         rows: as `results.load_results` returns them.
-        table: "table2" or "table4".
+        table: "table2", "table4" or "table5".
     """
     reported = paper()[table]
     lines = [
@@ -26,7 +34,7 @@ def imitation_table(rows: pd.DataFrame, table: str) -> str:
     ]
     notes: list[str] = []
     for method, by_paper in reported["returns"].items():
-        of_method = rows[(rows["method"] == method.lower()) & (rows["seed"] < TUNING_SEEDS)]
+        of_method = rows[(rows["method"] == method_named(method)) & (rows["seed"] < TUNING_SEEDS)]
         candidates = of_method[in_setting(of_method, table)]
         aer, performance, means, missing = [], [], [], []
         for env, title in ENVIRONMENTS.items():
@@ -72,9 +80,10 @@ def _left_out(of_method: pd.DataFrame, method: str, env: str, title: str) -> lis
 def _not_run(method: str, environments: list[str], trajectories: int) -> str:
     """The command that fills some cells."""
     several = " -m" if len(environments) > 1 else ""
-    more = f" ablation.trajectories={trajectories}" if trajectories != 1 else ""
+    usual = trajectories == 1 or method in WITHOUT_EXPERT
+    more = "" if usual else f" ablation.trajectories={trajectories}"
     titles = ", ".join(ENVIRONMENTS[env] for env in environments)
-    command = f"ril-run{several} env={','.join(environments)} method={method.lower()}{more}"
+    command = f"ril-run{several} env={','.join(environments)} method={method_named(method)}{more}"
     return f"- {method} is not run on {titles}: `{command}`"
 
 
@@ -84,7 +93,8 @@ def fullest_cell(rows: pd.DataFrame) -> pd.DataFrame:
     Of different lengths, that with the most seeds, then the longest; of a seed that was run
     twice, its newer row. The empty frame if there are none.
     """
-    length = rows.groupby("run_id")["epochs"].transform("max")
+    budgets = rows["total_timesteps"].fillna(rows["epochs"])
+    length = budgets.groupby(rows["run_id"]).transform("max")
     seeds = rows.groupby(length)["seed"].nunique().sort_index()
     if seeds.empty:
         return rows

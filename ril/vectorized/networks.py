@@ -83,6 +83,41 @@ class MLP:
         return apply_linear(p, "output", x)
 
 
+@dataclass(frozen=True)
+class Dueling:
+    """Q(s, a) = V(s) + A(s, a) − mean_a A(s, a), from two streams (Wang et al., 2016, eq. 9).
+
+    Attributes:
+        value: V, with one output.
+        advantage: A, with one output per action.
+    """
+
+    value: MLP
+    advantage: MLP
+
+    def shapes(self) -> dict[str, tuple[int, int]]:
+        """(rows, columns) of every parameter, of one seed, by name."""
+        return {
+            _in_stream(name, stream): shape
+            for stream, network in (("value", self.value), ("advantage", self.advantage))
+            for name, shape in network.shapes().items()
+        }
+
+    def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """(S, B, inputs) to (S, B, |A|) values."""
+        value, advantage = (
+            network.forward({n: parameters[_in_stream(n, stream)] for n in network.shapes()}, x)
+            for stream, network in (("value", self.value), ("advantage", self.advantage))
+        )
+        return value + advantage - advantage.mean(dim=-1, keepdim=True)
+
+
+def _in_stream(name: str, stream: str) -> str:
+    """A parameter's name in one of several streams; it begins and ends as before."""
+    layer, _, kind = name.rpartition(".")
+    return f"{layer}.{stream}.{kind}"
+
+
 def linear(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, int]]:
     """The shapes of one Linear layer's weight and bias."""
     return {f"{name}.weight": (inputs, outputs), f"{name}.bias": (1, outputs)}
@@ -133,6 +168,17 @@ def parameter_count(architecture: Architecture) -> int:
     return sum(math.prod(shape) for shape in architecture.shapes().values())
 
 
+def by_name(architecture: Architecture, flat: Tensor) -> dict[str, Tensor]:
+    """Parameters (S, P) that lie side by side as views by name, each (S, rows, columns)."""
+    views = {}
+    start = 0
+    for name, shape in architecture.shapes().items():
+        stop = start + math.prod(shape)
+        views[name] = flat[:, start:stop].view(len(flat), *shape)
+        start = stop
+    return views
+
+
 class Network:
     """S networks of one architecture, whose parameters lie in one (S, P) buffer.
 
@@ -145,13 +191,8 @@ class Network:
     def __init__(self, architecture: Architecture, flat: Tensor) -> None:
         self.architecture = architecture
         self.flat = flat
-        self.parameters: dict[str, Tensor] = {}
-        start = 0
-        for name, shape in architecture.shapes().items():
-            stop = start + math.prod(shape)
-            view = flat[:, start:stop].view(len(flat), *shape)
-            self.parameters[name] = view.detach().requires_grad_()
-            start = stop
+        views = by_name(architecture, flat)
+        self.parameters = {name: view.detach().requires_grad_() for name, view in views.items()}
 
     @classmethod
     def initialise(

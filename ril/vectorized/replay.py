@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ril.environments import Floats
 from ril.vectorized.rollout import Episodes
 
 
@@ -20,8 +21,10 @@ def random_indices(uniform: NDArray[np.float32], sizes: NDArray[np.int64]) -> Te
 
 def at(values: Tensor, indices: Tensor) -> Tensor:
     """Each seed's own entries: values (S, N, …) at indices (S, C) of the N, to (S, C, …)."""
-    rows = torch.arange(len(indices), device=indices.device)[:, None]
-    return values[rows, indices]
+    seeds, stored = values.shape[:2]
+    firsts = torch.arange(0, seeds * stored, stored, device=indices.device)[:, None]
+    chosen = values.flatten(0, 1).index_select(0, (indices + firsts).flatten())
+    return chosen.view(*indices.shape, *values.shape[2:])
 
 
 class Batch(NamedTuple):
@@ -83,6 +86,34 @@ class Replay:
                 array[seed, slots] = values.to(array)
             self._positions[seed] = (self._positions[seed] + length) % self.capacity
             self.sizes[seed] = min(self.sizes[seed] + length, self.capacity)
+
+    def add(
+        self,
+        observations: Floats,
+        actions: NDArray[np.int64],
+        rewards: Floats,
+        next_observations: Floats,
+        terminated: NDArray[np.bool_],
+    ) -> Tensor:
+        """Append one transition to each seed's memory, where all have as many.
+
+        Args:
+            observations: (S, obs) scaled states.
+            actions: (S,).
+            rewards: (S,).
+            next_observations: (S, obs) scaled states that followed.
+            terminated: (S,) whether the environment ended the episode.
+
+        Returns:
+            (S, 1) the slots that they took.
+        """
+        slot = int(self._positions[0])
+        columns = (observations, actions, rewards, next_observations, terminated)
+        for name, values in zip(self._FIELDS, columns, strict=True):
+            getattr(self, name)[:, slot] = torch.from_numpy(values)
+        self._positions[:] = (slot + 1) % self.capacity
+        self.sizes = np.minimum(self.sizes + 1, self.capacity)
+        return torch.full((len(self.sizes), 1), slot, device=self.rewards.device)
 
     def clear(self) -> None:
         """Forget all transitions."""

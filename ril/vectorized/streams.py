@@ -27,7 +27,10 @@ class Streams:
 
     def uniform(self, *shape: int) -> NDArray[np.float32]:
         """(S, *shape) numbers in [0, 1)."""
-        return np.stack([g.random(shape, dtype=np.float32) for g in self._generators])
+        numbers = np.empty((len(self._generators), *shape), dtype=np.float32)
+        for generator, of_seed in zip(self._generators, numbers, strict=True):
+            generator.random(dtype=np.float32, out=of_seed)
+        return numbers
 
     def integers(self, high: int, *shape: int) -> NDArray[np.int64]:
         """(S, *shape) integers in [0, high)."""

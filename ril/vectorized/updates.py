@@ -48,15 +48,22 @@ class ClippedAdam:
         leaves = list(self.network.parameters.values())
         gradients = torch.autograd.grad(losses.sum(), leaves)
         gradient = torch.cat([g.reshape(len(g), -1) for g in gradients], dim=1)
-        if self.gradient_clip is not None:
-            gradient.clamp_(-self.gradient_clip, self.gradient_clip)
+        mean_scale, square_scale = self.count_step()
+        change = self.change(gradient, square_scale)
+        self.network.flat.addcdiv_(*change, value=-self.learning_rate / mean_scale)
+
+    def count_step(self) -> tuple[float, float]:
+        """One step more; what Adam divides its means by while they still remember their zeros."""
         self.steps += 1
+        return 1 - self.beta1**self.steps, math.sqrt(1 - self.BETA2**self.steps)
+
+    def change(self, gradient: Tensor, square_scale: float | Tensor) -> tuple[Tensor, Tensor]:
+        """Numerator and denominator, (S, P) each, of a step along a gradient (S, P)."""
+        if self.gradient_clip is not None:
+            gradient = gradient.clamp(-self.gradient_clip, self.gradient_clip)
         self.mean.lerp_(gradient, 1 - self.beta1)
         self.square.mul_(self.BETA2).addcmul_(gradient, gradient, value=1 - self.BETA2)
-        mean_scale = 1 - self.beta1**self.steps
-        square_scale = math.sqrt(1 - self.BETA2**self.steps)
-        denominator = self.square.sqrt().div_(square_scale).add_(self.EPSILON)
-        self.network.flat.addcdiv_(self.mean, denominator, value=-self.learning_rate / mean_scale)
+        return self.mean, self.square.sqrt().div_(square_scale).add_(self.EPSILON)
 
     def state_dict(self) -> dict[str, Any]:
         """Moments and step count."""

@@ -10,7 +10,7 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from states import assert_equal_states, copied
 from torch import Tensor
 
@@ -39,15 +39,10 @@ def config(**changes: object) -> PPOConfig:
     return PPOConfig(**(values | changes))
 
 
-def own_rewards(agent: PPOAgent) -> np.ndarray:
-    """What the environment itself paid in the last rollout."""
-    return agent.model.rollout_buffer.rewards.copy().ravel()
-
-
 def rounds(agent: PPOAgent, count: int) -> None:
     for _ in range(count):
         agent.collect()
-        agent.improve(own_rewards(agent))
+        agent.improve()
 
 
 def parameters(model: PPO) -> Tensor:
@@ -109,21 +104,32 @@ class Rollouts(BaseCallback):
         self.seen.append({name: getattr(buffer, name).copy() for name in self.FIELDS})
 
 
-def learnt_by_sb3(settings: PPOConfig, environment: Environment, count: int) -> tuple[PPO, Any]:
-    """Stable-Baselines3's own `learn` over some rollouts, and what they held."""
+def learnt_by_sb3(
+    settings: PPOConfig, environment: Environment, count: int, *, zoo: bool
+) -> tuple[PPO, list[dict[str, np.ndarray]]]:
+    """Stable-Baselines3's own `learn` over some rollouts, and what they held.
+
+    `zoo` adds what RL Baselines3 Zoo does for `normalize: true` and `lin_…`.
+    """
+    environments: VecEnv = Plain(environment, settings.n_envs)
+    rate: Any = settings.learning_rate
+    clip: Any = settings.clip_range
+    if zoo:
+        environments = VecNormalize(environments, gamma=settings.gamma, clip_obs=np.inf)
+        rate, clip = (lambda left: left * settings.learning_rate), (lambda left: left * 0.15)
     model = PPO(
         "MlpPolicy",
-        Plain(environment, settings.n_envs),
+        environments,
         policy_kwargs={"net_arch": list(settings.hidden)},
         seed=SEED,
         device="cpu",
         n_steps=settings.n_steps,
         batch_size=settings.batch_size,
         n_epochs=settings.n_epochs,
-        learning_rate=settings.learning_rate,
+        learning_rate=rate,
         gamma=settings.gamma,
         gae_lambda=settings.gae_lambda,
-        clip_range=settings.clip_range,
+        clip_range=clip,
         ent_coef=settings.ent_coef,
     )
     rollouts = Rollouts()
@@ -135,26 +141,37 @@ def learnt_by_sb3(settings: PPOConfig, environment: Environment, count: int) -> 
 TASKS = [("cartpole", 80), ("mountaincar", 160), ("mountaincar", 100)]
 
 
+@pytest.mark.parametrize("zoo", [False, True], ids=["plain", "zoo"])
 @pytest.mark.parametrize(("name", "n_steps"), TASKS)
 def test_with_the_environments_rewards_it_is_what_sb3_learns(
-    environments: dict[str, Environment], name: str, n_steps: int
+    environments: dict[str, Environment], name: str, n_steps: int, zoo: bool
 ) -> None:
     settings = config(n_steps=n_steps, batch_size=20)
-    model, expected = learnt_by_sb3(settings, environments[name], 3)
-    agent = PPOAgent(settings, environments[name], SEED)
+    model, expected = learnt_by_sb3(settings, environments[name], 3, zoo=zoo)
+    falls_over = 3 * n_steps * 2 if zoo else None
+    agent = PPOAgent(settings, environments[name], SEED, normalize=zoo, falls_over=falls_over)
     for reference in expected:
         observations, actions = agent.collect()
         np.testing.assert_array_equal(
             observations, reference["observations"].reshape(-1, observations.shape[1])
         )
         np.testing.assert_array_equal(actions, reference["actions"].ravel())
-        agent.improve(own_rewards(agent))
+        agent.improve()
         buffer = agent.model.rollout_buffer
         np.testing.assert_array_equal(buffer.rewards, reference["rewards"])
         for field in ("values", "advantages", "returns"):
             by_copy = reference[field].swapaxes(0, 1).ravel()  # as PPO's update leaves them
             np.testing.assert_array_equal(getattr(buffer, field).ravel(), by_copy, err_msg=field)
     assert torch.equal(parameters(agent.model), parameters(model))
+
+
+def test_a_rate_that_has_fallen_to_0_stays_there(cartpole: Environment) -> None:
+    agent = PPOAgent(config(), cartpole, SEED, falls_over=100)  # of rollouts of 64
+    rounds(agent, 1)
+    learnt = parameters(agent.model)
+    rounds(agent, 2)
+    assert torch.equal(parameters(agent.model), learnt)
+    assert not torch.equal(parameters(PPOAgent(config(), cartpole, SEED).model), learnt)
 
 
 def test_only_a_cut_episode_is_worth_more_than_its_rewards(mountaincar: Environment) -> None:
@@ -206,7 +223,7 @@ def test_what_is_collected_begins_where_the_last_rollout_ended(cartpole: Environ
         ):
             np.testing.assert_array_equal(before, stepped.observations)
             stepped.step(chosen)
-        agent.improve(own_rewards(agent))
+        agent.improve()
 
 
 def test_the_actor_answers_as_sb3s_policy(cartpole: Environment) -> None:
@@ -221,15 +238,23 @@ def test_the_actor_answers_as_sb3s_policy(cartpole: Environment) -> None:
     torch.testing.assert_close(found.log_softmax(dim=-1), distribution.logits)
 
 
-def test_the_actors_greedy_actions_are_sb3s(cartpole: Environment) -> None:
-    settings = config()
-    agent = PPOAgent(settings, cartpole, SEED)
-    rounds(agent, 2)
-    x = np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)
-    expected, _ = agent.model.predict(x, deterministic=True)
-    network = Network(actor_topology(settings, cartpole), agent.actor()[None])
+@pytest.mark.parametrize("normalize", [False, True])
+@pytest.mark.parametrize("hidden", [[16, 12], []])
+def test_the_actors_greedy_actions_are_sb3s(
+    environments: dict[str, Environment], hidden: list[int], normalize: bool
+) -> None:
+    environment = environments["acrobot"]  # observations of unequal spread, three actions
+    settings = config(hidden=hidden, learning_rate=0.02)
+    agent = PPOAgent(settings, environment, SEED, normalize=normalize)
+    rounds(agent, 4)
+    x = np.random.default_rng(0).normal(size=(500, 6)).astype(np.float32)
+    normaliser = agent.model.get_vec_normalize_env()
+    assert (normaliser is not None) is normalize
+    seen = normaliser.normalize_obs(x) if normaliser is not None else x
+    expected, _ = agent.model.predict(seen, deterministic=True)
+    network = Network(actor_topology(settings, environment), agent.actor()[None])
     np.testing.assert_array_equal(network.greedy(x), expected)
-    assert len(set(expected.tolist())) == 2
+    assert len(set(expected.tolist())) == 3
 
 
 def outside() -> tuple[Any, ...]:
@@ -248,7 +273,7 @@ def outside() -> tuple[Any, ...]:
 
 WORK: dict[str, Callable[[PPOAgent], Any]] = {
     "collect": lambda agent: agent.collect(),
-    "improve": lambda agent: agent.improve(own_rewards(agent)),
+    "improve": lambda agent: agent.improve(),
     "save": lambda agent: agent.state_dict(),
     "load": lambda agent: agent.load_state_dict(copied(agent.state_dict())),
 }
@@ -297,7 +322,7 @@ def test_agents_side_by_side_do_not_reach_each_other(cartpole: Environment) -> N
         for agent in together:
             agent.collect()
         for agent in reversed(together):
-            agent.improve(own_rewards(agent))
+            agent.improve()
     for agent, expected in zip(together, alone, strict=True):
         assert_equal_states(agent.state_dict(), expected)
 
@@ -308,10 +333,13 @@ def test_agents_of_other_seeds_differ(cartpole: Environment) -> None:
     assert (one.collect()[0] != other.collect()[0]).all(axis=1).any()
 
 
+@pytest.mark.parametrize("zoo", [{}, {"normalize": True, "falls_over": 1000}])
 @pytest.mark.parametrize("name", ["cartpole", "mountaincar"])
-def test_a_saved_state_goes_on_alike(environments: dict[str, Environment], name: str) -> None:
+def test_a_saved_state_goes_on_alike(
+    environments: dict[str, Environment], name: str, zoo: dict[str, Any]
+) -> None:
     settings = config(n_steps=120)
-    agent, resumed = (PPOAgent(settings, environments[name], seed) for seed in (SEED, SEED))
+    agent, resumed = (PPOAgent(settings, environments[name], SEED, **zoo) for _ in range(2))
     rounds(agent, 2)
     resumed.load_state_dict(copied(agent.state_dict()))
     rounds(agent, 2)

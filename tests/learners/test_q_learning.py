@@ -1,63 +1,24 @@
 from __future__ import annotations
 
-import io
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
 from references import Adam, copies_of, flat_of, random_network
+from states import assert_equal_states, copied
 from torch.nn import functional
 
-from ril.learners.q_learning import QLearning, td_loss, td_targets
+from ril.learners.q_learning import QLearning
 from ril.schema import QLearningConfig
 from ril.vectorized.networks import MLP, Network
-from ril.vectorized.replay import Batch, Replay, random_indices
+from ril.vectorized.priorities import Priorities
+from ril.vectorized.replay import Replay, random_indices
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
 
 ARCHITECTURE = MLP(inputs=2, hidden=(6,), outputs=3)
 SEEDS = (0, 1)
-
-
-def batch_of(rewards: list[float], terminated: list[float], actions: list[int]) -> Batch:
-    """One seed's transitions; the states do not matter."""
-    states = torch.zeros(1, len(rewards), 2)
-    columns = torch.tensor([rewards]), states, torch.tensor([terminated])
-    return Batch(states, torch.tensor([actions]), *columns)
-
-
-def test_target_is_reward_and_the_discounted_best_next_value() -> None:
-    batch = batch_of([-1.0, 2.0], [0.0, 0.0], [0, 1])
-    next_values = torch.tensor([[[1.0, 5.0, 3.0], [-4.0, -2.0, -9.0]]])
-    targets = td_targets(batch, next_values, discount=0.9)
-    torch.testing.assert_close(targets, torch.tensor([[-1 + 0.9 * 5, 2 + 0.9 * -2]]))
-
-
-def test_target_of_a_terminal_step_is_its_reward() -> None:
-    batch = batch_of([-1.0, 7.0], [0.0, 1.0], [0, 1])
-    targets = td_targets(batch, torch.full((1, 2, 3), 10.0), discount=0.5)
-    assert targets.tolist() == [[4.0, 7.0]]
-
-
-VALUES = torch.tensor([[[1.0, 9.0, 9.0], [9.0, 9.0, 4.0]]])  # taken: 1.0 and 4.0
-TARGETS = torch.tensor([[1.5, 1.0]])  # 0.5 and 3.0 away
-
-
-@pytest.mark.parametrize(
-    ("loss", "expected"),
-    [("mse", (0.5**2 + 3.0**2) / 2), ("huber", (0.5 * 0.5**2 + (3.0 - 0.5)) / 2)],
-)
-def test_loss_is_the_mean_over_the_actions_taken(loss: str, expected: float) -> None:
-    batch = batch_of([0.0, 0.0], [0.0, 0.0], [0, 2])
-    assert td_loss(VALUES, batch, TARGETS, loss).tolist() == pytest.approx([expected])
-
-
-def test_loss_is_of_each_seed() -> None:
-    batch = Batch(
-        *(field.repeat(2, *[1] * (field.ndim - 1)) for field in batch_of([0.0], [0.0], [0]))
-    )
-    values = torch.tensor([[[1.0, 0.0]], [[3.0, 0.0]]])
-    assert td_loss(values, batch, torch.zeros(2, 1), "mse").tolist() == [1.0, 9.0]
 
 
 def config(**changes: object) -> QLearningConfig:
@@ -74,8 +35,8 @@ def config(**changes: object) -> QLearningConfig:
     return QLearningConfig(**(values | changes))
 
 
-def memory(capacity: int = 40) -> Replay:
-    """Two seeds' random transitions: 30 of the first and 20 of the second."""
+def memory(capacity: int = 40, lengths: tuple[int, int] = (30, 20)) -> Replay:
+    """Two seeds' random transitions: 30 of the first and 20 of the second, if not said else."""
     numbers = np.random.default_rng(0)
     states = numbers.normal(size=(2, 30, 2)).astype(np.float32)
     replay = Replay(2, capacity, 2, torch.device("cpu"))
@@ -87,7 +48,7 @@ def memory(capacity: int = 40) -> Replay:
             numbers.normal(size=(2, 30)).astype(np.float32),
             states[:, ::-1].copy(),
             numbers.random((2, 30)) < 0.2,
-            np.array([30, 20]),
+            np.array(lengths),
         )
     )
     return replay
@@ -135,12 +96,16 @@ def test_training_gives_the_mean_loss_of_each_seed() -> None:
     found = learner(config(batch_size=500))[0].train(1)
     replay = memory()
     drawn = random_indices(Streams(SEEDS, "replay batches").uniform(1, 500), replay.sizes)[:, 0]
-    batch = replay.everything().at(drawn)
-    before = random_network(ARCHITECTURE, len(SEEDS))
-    with torch.no_grad():
-        targets = td_targets(batch, before(batch.next_observations), 0.9)
-        expected = td_loss(before(batch.observations), batch, targets, "huber")
-    torch.testing.assert_close(found, expected)
+    expected = []
+    for seed, module in enumerate(copies_of(random_network(ARCHITECTURE, len(SEEDS)))):
+        at = drawn[seed]
+        with torch.no_grad():
+            best = module(replay.next_observations[seed, at]).max(dim=1).values
+            target = replay.rewards[seed, at] + 0.9 * (1 - replay.terminated[seed, at]) * best
+            values = module(replay.observations[seed, at])
+            taken = values[torch.arange(500), replay.actions[seed, at]]
+            expected.append(functional.huber_loss(taken, target))
+    torch.testing.assert_close(found, torch.stack(expected))
 
 
 def test_no_updates_change_nothing() -> None:
@@ -150,15 +115,98 @@ def test_no_updates_change_nothing() -> None:
     assert torch.equal(policy.flat, before)
 
 
-def test_a_saved_state_goes_on_alike() -> None:
-    q_learning, policy = learner(config(target_interval=4))
+STORED, ALPHA = 30, 0.6
+
+
+def prioritised(
+    settings: QLearningConfig, *, double: bool = False, purpose: str = "replay batches"
+) -> tuple[QLearning, Network]:
+    """A learner of two full memories with priorities."""
+    policy, replay = random_network(ARCHITECTURE, len(SEEDS)), memory(lengths=(STORED, STORED))
+    priorities = Priorities(len(SEEDS), 40, ALPHA, torch.device("cpu"))
+    priorities.add(torch.arange(STORED).expand(len(SEEDS), STORED))
+    streams = Streams(SEEDS, purpose)
+    q_learning = QLearning(policy, replay, settings, streams, priorities=priorities, double=double)
+    return q_learning, policy
+
+
+@pytest.mark.parametrize("double", [False, True])
+@pytest.mark.parametrize("target_interval", [0, 4])
+def test_prioritised_training_is_that_of_one_agent_per_seed(
+    target_interval: int, double: bool
+) -> None:
+    q_learning, policy = prioritised(config(target_interval=target_interval), double=double)
+    modules = copies_of(policy)
+    betas = {9: 0.4, 7: 0.8}  # by the number of updates that they hold for
+    losses = [q_learning.train(updates, beta) for updates, beta in betas.items()]
+
+    replay, streams = q_learning.replay, Streams(SEEDS, "replay batches")
+    targets = copies_of(random_network(ARCHITECTURE, len(SEEDS)))
+    optimizers = [Adam(module, 0.01, 0.05) for module in modules]
+    priorities = np.ones((len(SEEDS), STORED))
+    step = 0
+    for (updates, beta), found in zip(betas.items(), losses, strict=True):
+        uniform = streams.uniform(updates, 8)
+        total = torch.zeros(len(SEEDS))
+        for update in range(updates):
+            for seed, module in enumerate(modules):
+                if not target_interval or step % target_interval == 0:
+                    targets[seed].load_state_dict(module.state_dict())
+                weights = priorities[seed] ** ALPHA
+                shares = (np.arange(8) + uniform[seed, update]) / 8
+                at = np.searchsorted(weights.cumsum(), shares * weights.sum(), side="right")
+                correction = (STORED * weights[at] / weights.sum()) ** -beta
+                correction /= correction.max()
+                with torch.no_grad():
+                    following = replay.next_observations[seed, at]
+                    aimed = targets[seed](following)
+                    chosen = (module(following) if double else aimed).argmax(dim=1)
+                    goes_on = 1 - replay.terminated[seed, at]
+                    best = aimed[torch.arange(8), chosen]
+                    target = replay.rewards[seed, at] + 0.9 * goes_on * best
+                values = module(replay.observations[seed, at])
+                taken = values[torch.arange(8), replay.actions[seed, at]]
+                each = functional.huber_loss(taken, target, reduction="none")
+                optimizers[seed].step((torch.from_numpy(correction).float() * each).mean())
+                total[seed] += each.mean().item()
+                priorities[seed, at] = (taken - target).abs().detach().numpy() + 1e-6
+            step += 1
+        torch.testing.assert_close(found, total / updates, rtol=1e-3, atol=1e-5)
+    expected = torch.stack([flat_of(module) for module in modules])
+    torch.testing.assert_close(policy.flat, expected, rtol=1e-3, atol=1e-5)
+    assert q_learning.priorities is not None
+    found_weights = q_learning.priorities.weights[:, :STORED].numpy()
+    np.testing.assert_allclose(found_weights, priorities**ALPHA, rtol=1e-3, atol=1e-4)
+
+
+def after_training(beta: float) -> torch.Tensor:
+    q_learning, policy = prioritised(config())
+    q_learning.train(4)  # so that priorities differ
+    q_learning.train(1, beta)
+    return policy.flat
+
+
+def test_beta_makes_a_difference() -> None:
+    assert not torch.equal(after_training(1.0), after_training(0.0))
+
+
+def test_a_double_target_makes_a_difference() -> None:
+    flats = []
+    for double in (False, True):
+        q_learning, policy = prioritised(config(target_interval=20), double=double)
+        q_learning.train(10)
+        flats.append(policy.flat)
+    assert not torch.equal(*flats)
+
+
+@pytest.mark.parametrize("make", [learner, prioritised])
+def test_a_saved_state_goes_on_alike(make: Callable[..., tuple[QLearning, Network]]) -> None:
+    q_learning, policy = make(config(target_interval=4))
     q_learning.train(6)
-    buffer = io.BytesIO()
-    torch.save(q_learning.state_dict(), buffer)
-    buffer.seek(0)
-    resumed, restored = learner(config(target_interval=4), purpose="other")
+    resumed, restored = make(config(target_interval=4), purpose="other")
     restored.flat.copy_(policy.flat)
-    resumed.load_state_dict(torch.load(buffer, weights_only=True))
+    resumed.load_state_dict(copied(q_learning.state_dict()))
     q_learning.train(5)
     resumed.train(5)
     assert torch.equal(restored.flat, policy.flat)
+    assert_equal_states(resumed.state_dict(), q_learning.state_dict())

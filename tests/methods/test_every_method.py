@@ -19,6 +19,7 @@ from states import assert_equal_states, copied
 from torch import Tensor
 
 from ril.collection import Episode, save
+from ril.config import run_id
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.environments import Environment
 from ril.experiment import run
@@ -31,7 +32,11 @@ from ril.vectorized.streams import Streams
 
 EVERY = tuple(METHODS)
 SEES_ACTIONS = tuple(name for name in EVERY if METHODS[name].sees_actions)
-SEES_STATES_ONLY = tuple(name for name in EVERY if not METHODS[name].sees_actions)
+SEES_NOTHING = tuple(name for name in EVERY if not METHODS[name].sees_expert)
+SEES_STATES_ONLY = tuple(
+    name for name in EVERY if METHODS[name].sees_expert and not METHODS[name].sees_actions
+)
+SEES_THE_EXPERT = (*SEES_ACTIONS, *SEES_STATES_ONLY)
 
 Make = Callable[..., Method]
 
@@ -41,7 +46,11 @@ def test_every_method_with_a_configuration_is_here() -> None:
 
 
 def test_methods_from_observation_are_shown_states_only() -> None:
-    assert SEES_STATES_ONLY == ("ilpo", "iupe", "ril")
+    assert SEES_STATES_ONLY == ("ilpo", "iupe", "ril", "ril_sequential")
+
+
+def test_methods_from_rewards_alone_are_shown_nothing() -> None:
+    assert SEES_NOTHING == ("acktr", "dqn", "dqn_prioritized", "ppo")
 
 
 @pytest.fixture(scope="module")
@@ -82,11 +91,16 @@ def assert_same_progress(found: list[Progress], expected: list[Progress], seed: 
 CLONING = ("method.cloning.batch_size=32",)
 IMITATION = (*CLONING, "method.inverse_dynamics.batch_size=128")
 SIZES = {
+    "acktr": ("method.n_envs=16", "method.n_steps=20", "method.total_timesteps=1280"),
     "bc": CLONING,
+    "dqn": ("method.q_learning.batch_size=128",),  # CartPole has 64
+    "dqn_prioritized": ("method.q_learning.batch_size=128",),
     "gail": ("method.discriminator.batch_size=256",),
     "ilpo": ("method.latent_policy.batch_size=32", "method.remapping.batch_size=32"),
     "iupe": IMITATION,
+    "ppo": ("method.ppo.batch_size=64",),
     "ril": (*IMITATION, "method.q_learning.batch_size=32"),
+    "ril_sequential": (*IMITATION, "method.q_learning.batch_size=32"),
 }
 MOUNTAINCAR = ("env=mountaincar", "env.goal.minimum_return=null")
 LUNARLANDER = (
@@ -155,8 +169,14 @@ def test_samples_never_fall(name: str, make: Make) -> None:
         assert (after.expert_samples >= before.expert_samples).all()
 
 
-# Where in its training a method is stopped; ILPO in both of its phases and between them.
-STOPS = [(name, after) for name in EVERY for after in ((1, 2, 3) if name == "ilpo" else (2,))]
+# Where in its training a method is stopped: in each of its phases and between them.
+PHASES = {
+    "dqn": (5, 33),  # before the first update and after
+    "dqn_prioritized": (5, 33),
+    "ilpo": (1, 2, 3),
+    "ril_sequential": (2, 3, 30),
+}
+STOPS = [(name, after) for name in EVERY for after in PHASES.get(name, (2,))]
 
 
 @pytest.mark.parametrize(("name", "after"), STOPS)
@@ -232,6 +252,24 @@ def test_a_policy_is_scored_only_once_it_can_act(name: str, folder: Path, make: 
     can_act = [progress.epoch for progress in trained(make(name)) if progress.can_act]
     curve = pd.read_csv(folder / "curve.csv")
     assert sorted(set(curve["epoch"])) == can_act
+
+
+def test_rows_have_the_trajectories_that_were_learnt_from(name: str, folder: Path) -> None:
+    trajectories = pd.read_csv(folder / "results.csv")["trajectories"]
+    assert trajectories.isna().tolist() == [name in SEES_NOTHING] * 2
+
+
+def test_rows_have_the_budget_where_it_is_of_steps(name: str, folder: Path, quick: Any) -> None:
+    budget = getattr(quick(f"method={name}").method, "total_timesteps", None)
+    found = pd.read_csv(folder / "results.csv")["total_timesteps"]
+    assert found.dropna().tolist() == ([] if budget is None else [budget] * 2)
+
+
+def test_run_id_depends_on_the_trajectories_where_they_are_seen(name: str, quick: Any) -> None:
+    one, other = (
+        run_id(quick(f"method={name}", f"ablation.trajectories={count}"), "0") for count in (1, 2)
+    )
+    assert (one == other) is (name in SEES_NOTHING)
 
 
 def episodes_with(
@@ -381,6 +419,64 @@ def test_no_array_with_the_experts_actions_can_be_reached(
 @pytest.mark.parametrize("name", SEES_ACTIONS)
 def test_where_they_are_shown_they_are_found(holds_actions: Any, name: str, train: bool) -> None:
     assert holds_actions(name, train=train)
+
+
+def remembers(array: np.ndarray, states: np.ndarray) -> bool:
+    """Whether an array has any of the states in it, each as it is or with its entries apart."""
+    for kind in (np.float32, np.float64):
+        kept = array.astype(kind, copy=False) if array.dtype.kind in "fiu" else array
+        rows, columns = (np.ascontiguousarray(x).tobytes() for x in (kept, kept.T))
+        if any(state.astype(kind).tobytes() in rows for state in states):
+            return True
+        if any(column.astype(kind).tobytes() in columns for column in states.T):
+            return True
+    return False
+
+
+@pytest.fixture(scope="module")
+def holds_states(
+    make: Make, demonstration_files: dict[str, Path], cartpole: Environment
+) -> Callable[[str], bool]:
+    """Whether a method has a state of the expert's after some of its training, or all of it."""
+    given = load_demonstrations(demonstration_files["cartpole"], cartpole).first(1)
+    scaled = given.states(cartpole).observations
+    assert len(scaled) > 25
+
+    def held(name: str) -> bool:
+        found = False
+        method = make(name)
+        for progress in method.train():
+            if progress.epoch in (1, method.epochs):
+                arrays = list(reachable_arrays(method))
+                found |= any(
+                    remembers(array, states)
+                    for array in arrays
+                    for states in (scaled, given.observations[: len(scaled)])
+                )
+        return found
+
+    return held
+
+
+@pytest.mark.parametrize("name", SEES_NOTHING)
+def test_no_state_of_the_experts_can_be_reached(holds_states: Any, name: str) -> None:
+    assert not holds_states(name)
+
+
+@pytest.mark.parametrize("name", SEES_THE_EXPERT)
+def test_where_states_are_shown_they_are_found(holds_states: Any, name: str) -> None:
+    assert holds_states(name)
+
+
+@pytest.mark.parametrize("name", SEES_NOTHING)
+def test_another_expert_changes_nothing(make: Make, name: str, tmp_path: Path) -> None:
+    other = tmp_path / "other.npz"
+    states = np.random.default_rng(0).uniform(-0.1, 0.1, size=(31, 4)).astype(np.float32)
+    taken, rewards = np.arange(30) % 2, np.ones(30, dtype=np.float32)
+    save(other, [Episode(0, states, taken, rewards, True)])
+    found, expected = make(name, f"demonstrations={other}"), make(name)
+    assert_same_progress(trained(found), trained(expected))
+    assert torch.equal(found.policy.flat, expected.policy.flat)
 
 
 class Hidden:

@@ -90,7 +90,7 @@ def test_the_policy_acts_as_its_agents_after_every_round(make: Any) -> None:
     method, _ = make()
     before = method.policy.flat.clone()
     for _ in method.train():
-        agents = torch.stack([agent.actor() for agent in method.agents])
+        agents = torch.stack(method.agents.each(PPOAgent.actor))
         assert torch.equal(method.policy.flat, agents)
         assert (agents != before).any(dim=1).all()
         before = agents

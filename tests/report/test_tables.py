@@ -8,7 +8,7 @@ import pytest
 
 from ril.report.cli import main
 from ril.report.paper import number, paper, paper_cell
-from ril.report.tables import fullest_cell, imitation_table
+from ril.report.tables import fullest_cell, results_table
 from ril.results import Row, load_results
 
 METHODS = ("Random", "Expert", "BC", "GAIL", "ILPO", "IUPE", "RIL")
@@ -42,7 +42,7 @@ def rows(*cells: dict[str, object]) -> pd.DataFrame:
 
 
 def table2(rows: pd.DataFrame) -> str:
-    return imitation_table(rows, "table2")
+    return results_table(rows, "table2")
 
 
 def line_of(table: str, method: str, number: int) -> str:
@@ -96,7 +96,7 @@ def test_every_method_of_the_table_has_its_lines() -> None:
 
 def test_table_4_is_of_100_trajectories() -> None:
     hundred = rows({"trajectories": 100, "aer": -99.0, "method": "bc", "k": None, "n": None})
-    assert our_cells(imitation_table(hundred, "table4"), "BC")[2] == "-99.00 ± 0.00 (1 seed)"
+    assert our_cells(results_table(hundred, "table4"), "BC")[2] == "-99.00 ± 0.00 (1 seed)"
     assert our_cells(table2(hundred), "BC")[2] == "not run"
 
 
@@ -137,7 +137,7 @@ def test_what_is_left_of_a_method_names_its_command() -> None:
     found = rows(*({"env": env, "run_id": env, "trajectories": 100} for env in environments))
     command = "`ril-run env=mountaincar method=ril ablation.trajectories=100`"
     says = f"- RIL is not run on MountainCar: {command}"
-    assert says in notes(imitation_table(found, "table4"))
+    assert says in notes(results_table(found, "table4"))
 
 
 @pytest.mark.parametrize(
@@ -222,8 +222,12 @@ def test_the_papers_numbers_are_its_own(method: str) -> None:
     assert (*found, number(reported["average_performance"][method])) == TABLE_2[method]
 
 
-# Table 4 of the paper, its imitation half: AER of each method, and its average performance.
+# Table 4 of the paper: AER of each method, and its average performance.
 TABLE_4 = {
+    "DQN₁": ("431.87 ± 5.31", "-191.51 ± 64.29", "-145.00 ± 31.18", "-127.64 ± 70.58", "0.53"),
+    "DQN₂": ("500.00 ± 0.00", "-87.83 ± 27.96", "-135.28 ± 24.10", "273.07 ± 37.92", "0.92"),
+    "PPO": ("500.00 ± 0.00", "-83.43 ± 23.29", "-142.16 ± 21.67", "105.24 ± 51.90", "0.83"),
+    "ACKTR": ("487.70 ± 64.76", "-89.36 ± 24.89", "-112.55 ± 21.19", "85.85 ± 64.72", "0.88"),
     "BC": ("500.00 ± 0.00", "-82.92 ± 2.63", "-99.69 ± 0.69", "214.93 ± 5.56", "1.01"),
     "GAIL": ("500.00 ± 0.00", "-83.12 ± 20.95", "-186.74 ± 0.65", "83.56 ± 65.26", "0.70"),
     "ILPO": ("500.00 ± 0.00", "-83.84 ± 2.50", "-177.56 ± 27.77", "-421.62 ± 180.41", "0.42"),
@@ -238,6 +242,40 @@ def test_the_papers_numbers_of_100_trajectories_are_its_own(method: str) -> None
     names = ("cartpole", "acrobot", "mountaincar", "lunarlander")
     found = [number(reported["returns"][method][env]) for env in names]
     assert (*found, number(reported["average_performance"][method])) == TABLE_4[method]
+
+
+# Table 5 of the paper: AER of RIL's halves in sequence, and its average performance.
+def test_the_papers_numbers_of_the_halves_in_sequence_are_its_own() -> None:
+    names = ("cartpole", "acrobot", "mountaincar", "lunarlander")
+    found = [number(paper()["table5"]["returns"]["RIL*"][env]) for env in names]
+    assert found == ["382.95 ± 208.29", "-493.63 ± 44.61", "-200.00 ± 0.00", "-114.09 ± 56.84"]
+    assert paper()["table5"]["average_performance"] == {"RIL*": [0.22]}
+
+
+def test_methods_without_an_expert_count_in_table_4() -> None:
+    alone = {"method": "dqn_prioritized", "k": None, "n": None, "trajectories": None}
+    found = results_table(rows(alone | {"aer": -120.0}), "table4")
+    assert our_cells(found, "DQN₂")[2] == "-120.00 ± 0.00 (1 seed)"
+    assert "- DQN₂ on MountainCar was run with 1 of 10 seeds" in notes(found)
+
+
+def test_methods_without_an_expert_are_not_told_to_take_trajectories(tmp_path: Path) -> None:
+    found = notes(results_table(load_results([tmp_path]), "table4"))
+    commands = [note.partition("`")[2].rstrip("`").split(" ", 3)[3] for note in found]
+    assert commands[:5] == [
+        "method=dqn",
+        "method=dqn_prioritized",
+        "method=ppo",
+        "method=acktr",
+        "method=bc ablation.trajectories=100",
+    ]
+
+
+def test_runs_of_another_budget_do_not_count_together() -> None:
+    usual = {"method": "dqn", "epochs": 1000, "k": None, "n": None, "trajectories": None}
+    long, short = ({"run_id": name, "total_timesteps": int(name)} for name in ("9000", "300"))
+    cells = [usual | long, usual | short | {"seed": 1}, usual | short | {"seed": 2}]
+    assert fullest_cell(rows(*cells))["run_id"].tolist() == ["300", "300"]
 
 
 def test_a_cell_in_the_paper() -> None:

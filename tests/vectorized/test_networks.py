@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 from references import SelfAttention, copies_of, flat_of, gradients_of, random_network
 from torch import nn
 
-from ril.vectorized.networks import MLP, Network, layer_norm, parameter_count, self_attention
+from ril.vectorized.networks import (
+    MLP,
+    Dueling,
+    Network,
+    by_name,
+    layer_norm,
+    parameter_count,
+    self_attention,
+)
 
 CPU = torch.device("cpu")
 FULL = MLP(inputs=3, hidden=(8, 5), outputs=2)
@@ -111,6 +119,77 @@ def test_gradient_is_that_of_each_seeds_modules(architecture: MLP) -> None:
         expected.append(flat_of(module, gradients=True))
     found = gradients_of(network, network(x).square().mean(dim=(1, 2)))
     torch.testing.assert_close(found, torch.stack(expected), rtol=1e-3, atol=1e-4)
+
+
+@st.composite
+def dueling(draw: st.DrawFn) -> Dueling:
+    """Two streams over the same inputs, otherwise as they like."""
+    value, advantage = draw(architectures), draw(architectures)
+    return Dueling(dataclasses.replace(value, inputs=advantage.inputs, outputs=1), advantage)
+
+
+def streams_of(network: Network) -> list[tuple[nn.Sequential, nn.Sequential]]:
+    """Each seed's two streams as modules of torch.nn; a parameter names its own."""
+    architecture = network.architecture
+    assert isinstance(architecture, Dueling)
+    streams = []
+    for name in ("value", "advantage"):
+        named = [p for key, p in network.parameters.items() if f".{name}." in key]
+        flat = torch.cat([p.detach().reshape(S, -1) for p in named], dim=1)
+        streams.append(copies_of(Network(getattr(architecture, name), flat)))
+    return list(zip(*streams, strict=True))
+
+
+@given(dueling())
+def test_dueling_is_state_values_and_advantages_around_their_mean(architecture: Dueling) -> None:
+    network, x = random_network(architecture, S), inputs(architecture.value.inputs)
+    expected = []
+    for (value, advantage), rows in zip(streams_of(network), x, strict=True):
+        values, advantages = value(rows), advantage(rows)
+        mean = advantages.sum(dim=1, keepdim=True) / architecture.advantage.outputs
+        expected.append(values.expand_as(advantages) + (advantages - mean))
+    torch.testing.assert_close(network(x), torch.stack(expected), rtol=1e-4, atol=1e-5)
+
+
+@given(dueling())
+def test_dueling_has_the_parameters_of_both_streams(architecture: Dueling) -> None:
+    both = parameter_count(architecture.value) + parameter_count(architecture.advantage)
+    assert parameter_count(architecture) == both
+
+
+DUELING = Dueling(dataclasses.replace(PLAIN, outputs=1), PLAIN)
+
+
+@pytest.mark.parametrize("architecture", [DUELING, Dueling(FULL, FULL)])
+def test_dueling_streams_begin_as_two_networks_would(architecture: Dueling) -> None:
+    parameters = Network.initialise(architecture, range(200), "policy", CPU).parameters
+    for stream in ("value", "advantage"):
+        for layer, fan_in in (("linear0", 3), ("linear1", 8), ("output", 5)):
+            for kind in ("weight", "bias"):
+                sizes = parameters[f"{layer}.{stream}.{kind}"].abs()
+                assert 0.95 * fan_in**-0.5 < sizes.max() <= fan_in**-0.5, (layer, kind)
+                assert sizes.mean().item() == pytest.approx(0.5 * fan_in**-0.5, rel=0.1)
+
+
+def test_dueling_attention_and_layer_norm_begin_as_an_mlps() -> None:
+    parameters = Network.initialise(Dueling(FULL, FULL), (0, 1), "policy", CPU).parameters
+    for stream in ("value", "advantage"):
+        assert not parameters[f"value1.{stream}.gamma"].any()
+        assert (parameters[f"norm1.{stream}.weight"] == 1).all()
+        assert (parameters[f"norm1.{stream}.bias"] == 0).all()
+
+
+def test_parameters_by_name_lie_side_by_side() -> None:
+    flat = torch.arange(2.0 * parameter_count(FULL)).view(2, -1)
+    found = by_name(FULL, flat)
+    assert {name: view.shape[1:] for name, view in found.items()} == FULL.shapes()
+    assert torch.equal(torch.cat([view.reshape(2, -1) for view in found.values()], dim=1), flat)
+
+
+def test_parameters_by_name_are_views() -> None:
+    flat = torch.zeros(2, parameter_count(FULL))
+    by_name(FULL, flat)["output.bias"][1] += 1
+    assert flat.sum().item() == FULL.outputs
 
 
 def test_no_seed_reaches_another() -> None:

@@ -9,6 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from states import assert_equal_states
 
 from ril.vectorized.replay import Replay, random_indices
 from ril.vectorized.rollout import Episodes
@@ -121,6 +122,57 @@ def test_at_takes_each_seeds_own_rows() -> None:
     batch = replay.everything().at(torch.tensor([[2, 0], [1, 1]]))
     assert batch.rewards.tolist() == [[2, 0], [4, 4]]
     assert batch.observations[:, :, 1].tolist() == [[2.5, 0.5], [4.5, 4.5]]
+
+
+def added(replay: Replay, episodes: Episodes, step: int) -> list[list[int]]:
+    """Add one transition of each seed's only episode; returns the slots."""
+    fields = ("observations", "actions", "rewards", "next_observations", "terminated")
+    return replay.add(*(getattr(episodes, name)[:, step] for name in fields)).tolist()
+
+
+@given(count=st.integers(1, 20), capacity=st.integers(1, 9))
+def test_transitions_added_one_by_one_are_as_appended(count: int, capacity: int) -> None:
+    episodes = numbered_episodes([count, count])
+    one_by_one, at_once = Replay(2, capacity, OBS, CPU), Replay(2, capacity, OBS, CPU)
+    for step in range(count):
+        added(one_by_one, episodes, step)
+    at_once.append(episodes)
+    assert_equal_states(one_by_one.state_dict(), at_once.state_dict())
+
+
+@given(before=st.integers(1, 12), capacity=st.integers(1, 9))
+def test_episodes_go_on_where_single_transitions_end(before: int, capacity: int) -> None:
+    first, second = numbered_episodes([before] * 2), numbered_episodes([5] * 2, first=100)
+    mixed, appended = Replay(2, capacity, OBS, CPU), Replay(2, capacity, OBS, CPU)
+    for step in range(before):
+        added(mixed, first, step)
+    appended.append(first)
+    for memory in (mixed, appended):
+        memory.append(second)
+    assert_equal_states(mixed.state_dict(), appended.state_dict())
+
+
+def test_added_transitions_take_the_slots_of_a_ring() -> None:
+    replay, episodes = Replay(3, 4, OBS, CPU), numbered_episodes([6] * 3)
+    found = [added(replay, episodes, step) for step in range(6)]
+    assert found == [[[slot]] * 3 for slot in (0, 1, 2, 3, 0, 1)]
+
+
+def test_added_transitions_lie_where_it_says() -> None:
+    replay, episodes = Replay(2, 4, OBS, CPU), numbered_episodes([6] * 2)
+    for step in range(6):
+        [slot], _ = added(replay, episodes, step)
+        for seed in (0, 1):
+            assert stored(replay, seed)[slot] == transitions(episodes, seed)[step]
+
+
+def test_memories_grow_with_added_transitions_until_they_are_full() -> None:
+    replay, episodes = Replay(2, 3, OBS, CPU), numbered_episodes([5] * 2)
+    sizes = []
+    for step in range(5):
+        added(replay, episodes, step)
+        sizes.append(replay.sizes.tolist())
+    assert sizes == [[1, 1], [2, 2], [3, 3], [3, 3], [3, 3]]
 
 
 def test_a_saved_memory_goes_on_alike() -> None:

@@ -1,0 +1,195 @@
+"""Actor-critic with K-FAC trust regions (Wu et al., 2017): A2C whose steps are natural."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ril.environments import Environment, Floats
+from ril.learners.advantages import generalised_advantages
+from ril.learners.exploration import sample_softmax
+from ril.learners.kfac import KFAC
+from ril.methods.base import Progress
+from ril.schema import ACKTRConfig
+from ril.task import Task
+from ril.vectorized.networks import MLP, Network
+from ril.vectorized.stepping import Step, SteppedEnvironments
+from ril.vectorized.streams import Streams
+
+
+class ACKTR:
+    """S policies and S value functions, each with K environments, learning from rewards alone.
+
+    Args:
+        config: `method` of the configuration.
+        task: environment and seeds; there is no expert in it.
+    """
+
+    def __init__(self, config: ACKTRConfig, task: Task) -> None:
+        environment, seeds = task.environment, task.seeds
+        self.config = config
+        self.rollout_steps = config.n_envs * config.n_steps
+        self.random_steps = config.n_envs * config.standardise_steps
+        left = max(1, config.total_timesteps - self.random_steps)
+        self.epochs = math.ceil(left / self.rollout_steps)
+        actor = tanh_network(config, environment, environment.action_count)
+        critic = tanh_network(config, environment, 1)
+        self.policy = Network.initialise(actor, seeds, "policy", task.device)
+        self.value = Network.initialise(critic, seeds, "value", task.device)
+        self.actor = KFAC(self.policy, config.actor)
+        self.critic = KFAC(self.value, config.critic)
+        self.environments = SteppedEnvironments(environment, seeds, config.n_envs, "acktr")
+        self._streams = Streams(seeds, "actions")
+        self._random = Streams(seeds, "random actions")
+        self._actions = environment.action_count
+        self._seeds = len(seeds)
+        self._device = task.device
+        self.epoch = 0
+
+    def train(self) -> Iterator[Progress]:
+        """A rollout and an update of both networks; yields after each."""
+        if self.epoch == 0:
+            self._standardise()
+        while self.epoch < self.epochs:
+            self.epoch += 1
+            metrics = self._update(*self._rollout())
+            yield Progress(
+                self.epoch,
+                env_samples=np.full(
+                    self._seeds, self.random_steps + self.epoch * self.rollout_steps
+                ),
+                expert_samples=np.zeros(self._seeds, dtype=np.int64),
+                pre_samples=0,
+                stopped=np.zeros(self._seeds, dtype=bool),
+                metrics=metrics,
+            )
+
+    def _standardise(self) -> None:
+        """Play random actions, and begin as if their states' mean were 0 and deviation 1."""
+        shape = self.config.standardise_steps, self.config.n_envs
+        chosen = self._random.integers(self._actions, *shape)
+        seen = []
+        for actions in chosen.swapaxes(0, 1):  # (S, K) at each step
+            seen.append(self.environments.observations)
+            self.environments.step(actions.ravel())
+        if seen:
+            states = self._by_seed(np.stack(seen))
+            standardise_inputs(self.policy, states)
+            standardise_inputs(self.value, states)
+
+    def _rollout(self) -> tuple[Floats, NDArray[np.int64], Step]:
+        """T = n_steps steps of all S·K environments, with actions of the policy's own chances.
+
+        Returns:
+            (T, S·K, obs) scaled states, (T, S·K) actions taken in them, and what followed, all
+            of a `Step` with T before its axes.
+        """
+        uniform = torch.from_numpy(self._streams.uniform(self.config.n_steps, self.config.n_envs))
+        observations, actions, steps = [], [], []
+        for numbers in uniform.to(self._device).unbind(dim=1):
+            observations.append(self.environments.observations)
+            logits = self.policy.infer(observations[-1])
+            actions.append(sample_softmax(logits, numbers).flatten().cpu().numpy())
+            steps.append(self.environments.step(actions[-1]))
+        followed = Step(
+            np.stack([step.next_observations for step in steps]),
+            np.stack([step.rewards for step in steps]),
+            np.stack([step.terminated for step in steps]),
+            np.stack([step.truncated for step in steps]),
+        )
+        return np.stack(observations), np.stack(actions), followed
+
+    def _update(
+        self, observations: Floats, actions: NDArray[np.int64], followed: Step
+    ) -> dict[str, NDArray[np.float64]]:
+        """One K-FAC step of each network on a rollout; returns diagnostics, each (S,)."""
+        config = self.config
+        states = self._by_seed(observations)
+        values = self.critic(states).squeeze(-1)
+        with torch.no_grad():
+            next_values = self.value(self._by_seed(followed.next_observations)).squeeze(-1)
+        advantages = self._by_seed(
+            generalised_advantages(
+                followed.rewards,
+                self._by_step(values),
+                self._by_step(next_values),
+                followed.terminated,
+                followed.truncated,
+                config.gamma,
+                config.gae_lambda,
+            )
+        )
+        targets = values.detach() + advantages
+        value_loss = (values - targets).square().mean(dim=1) / 2
+        # V(s) is the mean of a Gaussian of unit variance, whose −log p has the gradient ε∂v for
+        # a sample V(s) + ε; E[ε²] = 1, so that ∂v has the same Fisher matrix without the noise.
+        self.critic.step(value_loss, surprise=values)
+
+        log_chances = self.actor(states).log_softmax(dim=-1)
+        chosen = log_chances.gather(-1, self._by_seed(actions)[..., None]).squeeze(-1)
+        entropy = -(log_chances.exp() * log_chances).sum(dim=-1).mean(dim=1)
+        policy_loss = -(chosen * advantages).mean(dim=1) - config.ent_coef * entropy
+        # The actions of the rollout are samples of the policy as it still is.
+        self.actor.step(policy_loss, surprise=-chosen)
+        metrics = {"entropy": entropy, "value_loss": value_loss}
+        return {name: each.detach().double().cpu().numpy() for name, each in metrics.items()}
+
+    def _by_seed(self, array: NDArray[Any]) -> Tensor:
+        """(T, S·K, …) to (S, T·K, …)."""
+        steps, _, *rest = array.shape
+        split = torch.from_numpy(array).view(steps, self._seeds, -1, *rest)
+        return split.transpose(0, 1).flatten(1, 2).to(self._device)
+
+    def _by_step(self, tensor: Tensor) -> Floats:
+        """(S, T·K) to (T, S·K)."""
+        split = tensor.detach().view(self._seeds, self.config.n_steps, -1)
+        array: Floats = split.transpose(0, 1).flatten(1).cpu().numpy()
+        return array
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next rollout and update depend on."""
+        return {
+            "epoch": self.epoch,
+            "policy": self.policy.flat,
+            "value": self.value.flat,
+            "actor": self.actor.state_dict(),
+            "critic": self.critic.state_dict(),
+            "environments": self.environments.state_dict(),
+            "streams": self._streams.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.epoch = state["epoch"]
+        self.policy.flat.copy_(state["policy"])
+        self.value.flat.copy_(state["value"])
+        self.actor.load_state_dict(state["actor"])
+        self.critic.load_state_dict(state["critic"])
+        self.environments.load_state_dict(state["environments"])
+        self._streams.load_state_dict(state["streams"])
+
+
+@torch.no_grad()
+def standardise_inputs(network: Network, states: Tensor) -> None:
+    """Have the first layer answer to a state as it did to that state standardised.
+
+    Args:
+        network: of S seeds.
+        states: (S, N, obs), whose mean and deviation are each seed's own.
+    """
+    weight, bias = network.parameters["linear0.weight"], network.parameters["linear0.bias"]
+    mean, deviation = states.mean(dim=1, keepdim=True), states.std(dim=1, keepdim=True)
+    weight.div_(deviation.mT + 1e-3)  # which may be 0
+    bias.sub_((mean.mT * weight).sum(dim=1, keepdim=True))
+
+
+def tanh_network(config: ACKTRConfig, environment: Environment, outputs: int) -> MLP:
+    """The topology of policy or value function: tanh layers between observations and outputs."""
+    hidden, inputs = tuple(config.hidden), environment.observation_size
+    return MLP(inputs, hidden, outputs, attention=False, layer_norm=False, negative_slope=None)

@@ -1,0 +1,85 @@
+"""Deep Q-networks: RIL's Q-learning alone (Mnih et al., 2013), or with what came after.
+
+`method=dqn` is the paper's DQN₁. `method=dqn_prioritized` is its DQN₂: prioritised replay (Schaul
+et al., 2015), double targets (van Hasselt et al., 2016), dueling streams (Wang et al., 2016).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ril.learners.online_q_learning import EPOCHS, OnlineQLearning
+from ril.learners.topology import mlp
+from ril.methods.base import Progress
+from ril.schema import DQNConfig
+from ril.task import Task
+from ril.vectorized.networks import Architecture, Dueling, Network
+
+
+def topology(config: DQNConfig, task: Task) -> Architecture:
+    """From scaled observations to a value per action."""
+    environment = task.environment
+    values = mlp(config.network, environment.observation_size, environment.action_count)
+    return Dueling(replace(values, outputs=1), values) if config.dueling else values
+
+
+class DQN:
+    """S agents that learn the value of each action from rewards alone.
+
+    Args:
+        config: `method` of the configuration.
+        task: environment and seeds; the expert is not looked at.
+    """
+
+    def __init__(self, config: DQNConfig, task: Task) -> None:
+        self.config = config
+        self.epochs = min(EPOCHS, config.total_timesteps)
+        self.policy = Network.initialise(topology(config, task), task.seeds, "policy", task.device)
+        self.q_learning = OnlineQLearning(
+            config.q_learning, task, self.policy, "uniform", config.total_timesteps
+        )
+        self.epoch = 0
+        self._seeds = len(task.seeds)
+
+    def train(self) -> Iterator[Progress]:
+        """Act and learn; yields after each thousandth of the budget."""
+        while self.epoch < self.epochs:
+            self.epoch += 1
+            until = self.epoch * self.config.total_timesteps // self.epochs
+            metrics = self.q_learning.advance(until, self._epsilon(until))
+            yield Progress(
+                self.epoch,
+                env_samples=np.full(self._seeds, until),
+                expert_samples=np.zeros(self._seeds, dtype=np.int64),
+                pre_samples=0,
+                stopped=np.zeros(self._seeds, dtype=bool),
+                metrics=metrics,
+            )
+
+    def _epsilon(self, until: int) -> NDArray[np.float64]:
+        """(T, S) chances to explore in the next steps: at first any action, then along the line."""
+        line = self.config.exploration
+        steps = np.arange(self.q_learning.steps, until)
+        fallen = np.minimum(1.0, steps / line.steps)
+        epsilon = line.initial_epsilon + fallen * (line.final_epsilon - line.initial_epsilon)
+        epsilon[steps < self.config.q_learning.learning_starts] = 1.0
+        return np.tile(epsilon[:, None], self._seeds)
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next step depends on."""
+        return {
+            "epoch": self.epoch,
+            "policy": self.policy.flat,
+            "q_learning": self.q_learning.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.epoch = state["epoch"]
+        self.policy.flat.copy_(state["policy"])
+        self.q_learning.load_state_dict(state["q_learning"])

@@ -1,0 +1,78 @@
+"""Proximal Policy Optimisation (Schulman et al., 2017) by Stable-Baselines3."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ril.learners.ppo import PPOAgent, actor_topology
+from ril.methods.base import Progress
+from ril.schema import PPOMethodConfig
+from ril.task import Task
+from ril.vectorized.networks import Network
+from ril.vectorized.processes import Spread
+
+
+class PPO:
+    """S agents that learn from the environment's rewards alone; an epoch is a rollout.
+
+    Args:
+        config: `method` of the configuration.
+        task: environment and seeds; nothing of an expert is used.
+    """
+
+    def __init__(self, config: PPOMethodConfig, task: Task) -> None:
+        self.rollout_steps = config.ppo.n_envs * config.ppo.n_steps
+        self.epochs = math.ceil(config.total_timesteps / self.rollout_steps)
+        build = partial(
+            PPOAgent,
+            config.ppo,
+            task.environment,
+            normalize=config.ppo.normalize,
+            falls_over=config.total_timesteps if config.ppo.linear_schedule else None,
+        )
+        self.agents = Spread([partial(build, seed) for seed in task.seeds], task.processes)
+        flat = torch.stack(self.agents.each(PPOAgent.actor)).to(task.device)
+        self.policy = Network(actor_topology(config.ppo, task.environment), flat)
+        self.epoch = 0
+
+    def train(self) -> Iterator[Progress]:
+        """Rollouts, each with PPO's update on it."""
+        seeds = len(self.policy.flat)
+        while self.epoch < self.epochs:
+            self.epoch += 1
+            actors, diagnostics = zip(*self.agents.each(_rollout_and_update), strict=True)
+            self.policy.flat.copy_(torch.stack(actors))
+            yield Progress(
+                self.epoch,
+                env_samples=np.full(seeds, self.epoch * self.rollout_steps),
+                expert_samples=np.zeros(seeds, dtype=np.int64),
+                pre_samples=0,
+                stopped=np.zeros(seeds, dtype=bool),
+                metrics={
+                    name: np.array([each[name] for each in diagnostics]) for name in diagnostics[0]
+                },
+            )
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the next epoch depends on."""
+        return {"epoch": self.epoch, "agents": self.agents.each(PPOAgent.state_dict)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.epoch = state["epoch"]
+        self.agents.each(PPOAgent.load_state_dict, state["agents"])
+        self.policy.flat.copy_(torch.stack(self.agents.each(PPOAgent.actor)))
+
+
+def _rollout_and_update(agent: PPOAgent) -> tuple[Tensor, dict[str, float]]:
+    """An epoch of one agent; returns its actor, and what its update says of itself."""
+    agent.collect()
+    agent.improve()
+    return agent.actor(), agent.diagnostics()

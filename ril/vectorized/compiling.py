@@ -1,0 +1,36 @@
+"""Functions of tensors as one compiled graph, where a C++ compiler is at hand."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from typing import Any
+
+from ril.errors import UserError
+
+#: Updates, of all seeds together, after which compiling, half a minute, has paid.
+_WORTHWHILE = 1_000_000
+
+
+def worth_compiling(wanted: bool | str, updates: int) -> bool:
+    """Whether to compile what is done so many times: as wanted, or where it pays if "auto".
+
+    Raises:
+        UserError: it is wanted, and torch finds no compiler.
+    """
+    candidates = [os.environ["CXX"]] if "CXX" in os.environ else ["g++", "clang++", "c++"]
+    possible = any(shutil.which(name) for name in candidates)
+    if wanted is True and not possible:
+        raise UserError(f"compile=true: no C++ compiler found ({', '.join(candidates)})")
+    return possible if wanted is True else wanted == "auto" and possible and updates >= _WORTHWHILE
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function, compiled at its first call for the shapes it is then given."""
+    import torch._dynamo
+    import torch._inductor.config
+
+    torch._dynamo.config.recompile_limit = 64  # of one function, by runs of other shapes
+    torch._inductor.config.compile_threads = 1  # there is little to compile; start no workers
+    return torch.compile(function, fullgraph=True, dynamic=False)

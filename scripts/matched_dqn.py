@@ -1,0 +1,55 @@
+"""What ril's DQN is compared with: Stable-Baselines3's, with the same values of every key."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import hydra
+import numpy as np
+from stable_baselines3 import DQN
+
+from ril.cli import store_schemas
+from ril.config import from_hydra
+from ril.environments import Environment
+from ril.paths import config_folder
+from ril.schema import Config, DQNConfig
+
+
+def composed(*overrides: str) -> Config:
+    """The configuration of a command line of `ril-run`."""
+    store_schemas()
+    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+        return from_hydra(hydra.compose("config", list(overrides)))
+
+
+def make_scaled(environment: Environment) -> gym.Env:
+    """One environment that is observed as ril's learners observe it."""
+    space = gym.spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
+    return gym.wrappers.TransformObservation(environment.make(), environment.scale, space)
+
+
+def stable_baselines_dqn(config: DQNConfig, environment: Environment, seed: int) -> DQN:
+    """Stable-Baselines3's DQN for one seed.
+
+    Its target network is copied after environment steps, ril's after updates; its gradients are
+    not clipped, as `method.q_learning.gradient_clip=null` has it.
+    """
+    learning, line = config.q_learning, config.exploration
+    return DQN(
+        "MlpPolicy",
+        make_scaled(environment),
+        learning_rate=learning.learning_rate,
+        buffer_size=learning.replay.capacity,
+        learning_starts=learning.learning_starts,
+        batch_size=learning.batch_size,
+        gamma=learning.discount,
+        train_freq=learning.train_freq,
+        gradient_steps=learning.updates,
+        target_update_interval=learning.target_interval * learning.train_freq // learning.updates,
+        exploration_fraction=line.steps / config.total_timesteps,
+        exploration_initial_eps=line.initial_epsilon,
+        exploration_final_eps=line.final_epsilon,
+        max_grad_norm=float("inf"),
+        policy_kwargs={"net_arch": list(config.network.hidden)},
+        seed=seed,
+        device="cpu",
+    )

@@ -1,0 +1,214 @@
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from states import copied
+from torch import Tensor
+
+from ril.errors import UserError
+from ril.learners.online_q_learning import OnlineQLearning
+from ril.learners.q_learning import QLearning
+from ril.schema import Config, QLearningConfig
+from ril.task import Task
+from ril.vectorized.compiling import worth_compiling
+from ril.vectorized.networks import MLP, Architecture, Dueling, Network
+from ril.vectorized.priorities import Priorities
+from ril.vectorized.replay import Replay
+from ril.vectorized.rollout import Episodes
+from ril.vectorized.streams import Streams
+
+CPU = torch.device("cpu")
+STORED = 100
+COMPILERS = ("g++", "clang++", "c++")
+needs_compiler = pytest.mark.skipif(
+    not any(shutil.which(name) for name in COMPILERS), reason="no C++ compiler"
+)
+
+# Sizes as in conf/, since which kernel multiplies depends on them.
+PLAIN = MLP(4, (64, 64), 2, attention=False, layer_norm=False, negative_slope=0.0)
+ATTENTIVE = MLP(4, (8, 8), 2)  # RIL's own on CartPole
+STREAMS = Dueling(MLP(4, (64, 64), 1, False, False, 0.0), PLAIN)
+
+
+def memory(seeds: tuple[int, ...]) -> Replay:
+    """What each seed remembers, which depends on that seed alone."""
+    replay = Replay(len(seeds), STORED, 4, CPU)
+    episodes: list[tuple[np.ndarray, ...]] = []
+    for seed in seeds:
+        numbers = np.random.default_rng(seed)
+        states = numbers.normal(size=(2, STORED, 4)).astype(np.float32)
+        rewards = numbers.normal(size=STORED).astype(np.float32)
+        actions, ends = numbers.integers(2, size=STORED), numbers.random(STORED) < 0.2
+        episodes.append((states[0], actions, rewards, states[1], ends))
+    columns = (np.stack(column) for column in zip(*episodes, strict=True))
+    replay.append(Episodes(*columns, np.full(len(seeds), STORED)))
+    return replay
+
+
+def learner(
+    architecture: Architecture, seeds: tuple[int, ...], *, fused: bool, full: bool, **changes: Any
+) -> QLearning:
+    """A learner; a full one has priorities, double targets and a target network."""
+    values = {
+        "learning_rate": 1e-3,
+        "updates": 20,
+        "batch_size": 32,
+        "gradient_clip": None if full else 0.5,
+        "discount": 0.9,
+        "loss": "huber",
+        "target_interval": 6 if full else 0,
+        "replay_trajectories": 1.0,
+    }
+    priorities = None
+    if full:
+        priorities = Priorities(len(seeds), STORED, 0.6, CPU)
+        priorities.add(torch.arange(STORED).expand(len(seeds), STORED))
+    return QLearning(
+        Network.initialise(architecture, seeds, "policy", CPU),
+        memory(seeds),
+        QLearningConfig(**(values | changes)),
+        Streams(seeds, "replay batches"),
+        priorities=priorities,
+        double=full,
+        fused=fused,
+    )
+
+
+#: Parts of a training of 20 updates, with the β of each.
+FIRST, SECOND = (12, 0.5), (8, 0.8)
+
+
+def trained(q_learning: QLearning) -> tuple[Tensor, Tensor]:
+    """Parameters and losses after both parts."""
+    losses = [q_learning.train(updates, beta) for updates, beta in (FIRST, SECOND)]
+    return q_learning.policy.flat.clone(), torch.stack(losses)
+
+
+ARCHITECTURES = {"plain": (ATTENTIVE, False), "full": (STREAMS, True)}
+
+
+@pytest.fixture(scope="module", params=ARCHITECTURES)
+def among(request: pytest.FixtureRequest) -> tuple[str, QLearning, Tensor, Tensor]:
+    """Which kind it is; a fused learner of three seeds, and what its training gave."""
+    architecture, full = ARCHITECTURES[request.param]
+    q_learning = learner(architecture, (3, 5, 9), fused=True, full=full)
+    return request.param, q_learning, *trained(q_learning)
+
+
+@needs_compiler
+def test_compiled_updates_are_the_eager_ones_but_for_rounding(among: Any) -> None:
+    kind, fused, parameters, losses = among
+    architecture, full = ARCHITECTURES[kind]
+    eager = learner(architecture, (3, 5, 9), fused=False, full=full)
+    before = eager.policy.flat.clone()
+    expected, expected_losses = trained(eager)
+    assert (expected - before).abs().max() > 5e-3  # many times the tolerance
+    torch.testing.assert_close(parameters, expected, rtol=1e-3, atol=1e-4)
+    torch.testing.assert_close(losses, expected_losses, rtol=1e-3, atol=1e-5)
+    if full:
+        weights = (each.priorities.weights for each in (fused, eager))
+        torch.testing.assert_close(*weights, rtol=1e-3, atol=1e-3)
+
+
+@needs_compiler
+def test_a_seeds_compiled_updates_do_not_depend_on_other_seeds(among: Any) -> None:
+    kind, fused, parameters, losses = among
+    architecture, full = ARCHITECTURES[kind]
+    alone = learner(architecture, (5,), fused=True, full=full)
+    of_alone, losses_of_alone = trained(alone)
+    assert torch.equal(parameters[1], of_alone[0])
+    assert torch.equal(losses[:, 1], losses_of_alone[:, 0])
+    if full:
+        assert torch.equal(fused.priorities.weights[1], alone.priorities.weights[0])
+
+
+@needs_compiler
+def test_compiled_updates_follow_a_state_that_is_loaded(among: Any) -> None:
+    kind, fused, _, _ = among
+    architecture, full = ARCHITECTURES[kind]
+    eager = learner(architecture, (3, 5, 9), fused=False, full=full)
+    eager.train(*FIRST)
+    fused.policy.flat.copy_(eager.policy.flat)
+    fused.load_state_dict(copied(eager.state_dict()))
+    fused.train(*SECOND)
+    eager.train(*SECOND)
+    torch.testing.assert_close(fused.policy.flat, eager.policy.flat, rtol=1e-4, atol=1e-5)
+
+
+@pytest.fixture
+def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CXX", raising=False)
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+
+
+@pytest.fixture
+def a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CXX", raising=False)
+    monkeypatch.setattr(shutil, "which", lambda name: "/bin/c++" if name == "c++" else None)
+
+
+LONG, SHORT = 10_000_000, 1000
+
+
+@pytest.mark.parametrize(
+    ("wanted", "updates", "compiles"),
+    [
+        (True, LONG, True),
+        (True, SHORT, True),
+        ("auto", LONG, True),
+        ("auto", SHORT, False),
+        (False, LONG, False),
+    ],
+)
+@pytest.mark.usefixtures("a_compiler")
+def test_it_compiles_as_wanted_or_where_it_pays(wanted: Any, updates: int, compiles: bool) -> None:
+    assert worth_compiling(wanted, updates) is compiles
+
+
+@pytest.mark.parametrize("wanted", ["auto", False])
+@pytest.mark.usefixtures("no_compiler")
+def test_without_a_compiler_it_does_not(wanted: Any) -> None:
+    assert worth_compiling(wanted, LONG) is False
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_what_is_wanted_and_cannot_be_is_refused() -> None:
+    with pytest.raises(UserError, match=r"compile=true: no C\+\+ compiler found \(g\+\+, "):
+        worth_compiling(True, SHORT)
+
+
+@pytest.mark.usefixtures("a_compiler")
+def test_a_compiler_that_is_named_is_the_one_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "nonsense")
+    with pytest.raises(UserError, match=r"no C\+\+ compiler found \(nonsense\)"):
+        worth_compiling(True, SHORT)
+
+
+@pytest.mark.parametrize(
+    ("total_steps", "updates"),
+    [(60, 2 * (60 // 4) * 2), (103, 2 * (103 // 4) * 2)],  # a method's, of two seeds
+)
+def test_what_pays_is_by_the_updates_of_all_seeds(
+    quick: Any,
+    make_task: Callable[[Config], Task],
+    monkeypatch: pytest.MonkeyPatch,
+    total_steps: int,
+    updates: int,
+) -> None:
+    asked = []
+
+    def asking(wanted: Any, updates: int) -> bool:
+        asked.append(updates)
+        return False
+
+    monkeypatch.setattr("ril.learners.online_q_learning.worth_compiling", asking)
+    config = quick("method=dqn")
+    task = make_task(config)
+    policy = Network.initialise(MLP(4, (8,), 2), task.seeds, "policy", CPU)
+    OnlineQLearning(config.method.q_learning, task, policy, "uniform", total_steps)
+    assert asked == [updates]
