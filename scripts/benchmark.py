@@ -29,15 +29,19 @@ from ril.methods.dqn import DQN
 from ril.schema import Config, DQNConfig
 from ril.task import Task
 
-SMALL = ("method.network.hidden=[32,32]", "method.q_learning.batch_size=64")
+BATCH = "method.q_learning.batch_size=64"
 EVERY_STEP = ("method.q_learning.train_freq=1", "method.q_learning.updates=1")
 EVERY_FOURTH = ("method.q_learning.train_freq=4", "method.q_learning.updates=1")
+MOUNTAINCAR = ("env=mountaincar", "method.network.hidden=[32,32]", BATCH)  # networks of §4.1
+CARTPOLE = ("env=cartpole", "method.network.hidden=[8,8]", BATCH)
 #: What is compared, by name, as overrides of `ril-run method=dqn`.
 SETTINGS = {
-    "MountainCar, an update per step": ("env=mountaincar", *SMALL, *EVERY_STEP),
-    "MountainCar, an update per four steps": ("env=mountaincar", *SMALL, *EVERY_FOURTH),
-    "MountainCar, as method=dqn comes": ("env=mountaincar",),
-    "CartPole, as method=dqn comes": ("env=cartpole",),
+    "MountainCar, 2 × 32, an update per step": (*MOUNTAINCAR, *EVERY_STEP),
+    "MountainCar, 2 × 32, an update per four steps": (*MOUNTAINCAR, *EVERY_FOURTH),
+    "CartPole, 2 × 8, an update per step": (*CARTPOLE, *EVERY_STEP),
+    "CartPole, 2 × 8, an update per four steps": (*CARTPOLE, *EVERY_FOURTH),
+    "MountainCar, 2 × 64, as method=dqn comes": ("env=mountaincar",),
+    "CartPole, 2 × 64, as method=dqn comes": ("env=cartpole",),
 }
 SEEDS = 10
 WARM_UP = 1000  # steps before the clock starts; updates begin half way through them

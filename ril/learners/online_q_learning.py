@@ -68,7 +68,7 @@ class OnlineQLearning:
             Streams(seeds, "replay batches"),
             priorities=priorities,
             double=config.double,
-            fused=worth_compiling(task.compile, updates * len(seeds)),
+            fused=worth_compiling(task.compile, updates),
         )
         self._action_count = environment.action_count
         self._exploration = Streams(seeds, "exploration")

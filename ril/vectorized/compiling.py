@@ -9,8 +9,9 @@ from typing import Any
 
 from ril.errors import UserError
 
-#: Updates, of all seeds together, after which compiling, half a minute, has paid.
-_WORTHWHILE = 1_000_000
+#: Updates after which compiling, half a minute, has paid, whether of one seed or of ten at once:
+#: which other seeds there are is not to decide how a seed's numbers are rounded.
+_WORTHWHILE = 100_000
 
 
 def worth_compiling(wanted: bool | str, updates: int) -> bool:

@@ -110,7 +110,11 @@ class Replay:
         slot = int(self._positions[0])
         columns = (observations, actions, rewards, next_observations, terminated)
         for name, values in zip(self._FIELDS, columns, strict=True):
-            getattr(self, name)[:, slot] = torch.from_numpy(values)
+            array: Tensor = getattr(self, name)
+            if array.is_cpu:
+                array.numpy()[:, slot] = values  # the same memory, for a fifth of the time
+            else:
+                array[:, slot] = torch.from_numpy(values)
         self._positions[:] = (slot + 1) % self.capacity
         self.sizes = np.minimum(self.sizes + 1, self.capacity)
         return torch.full((len(self.sizes), 1), slot, device=self.rewards.device)

@@ -71,21 +71,27 @@ class SteppedEnvironments:
 
     def step(self, actions: Integers) -> Step:
         """Take (S·K,) actions; `observations` then are the states to act in next."""
-        count = len(self._copies)
-        rewards = np.zeros(count, dtype=np.float32)
-        terminated, truncated = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+        rewards, ends, cuts = [], [], []
         for index, action in enumerate(actions.tolist()):
             self._raw[index], reward, ended, cut, _ = self._copies[index].step(action)
-            rewards[index], terminated[index], truncated[index] = reward, ended, cut
+            rewards.append(reward)
+            ends.append(ended)
+            cuts.append(cut)
             self._actions[index].append(action)
+        terminated, truncated = np.array(ends, dtype=bool), np.array(cuts, dtype=bool)
         following = self.environment.scale(self._raw)
         self.observations = following
-        if len(over := np.flatnonzero(terminated | truncated)):
-            for index in over.tolist():
+        if any(ends) or any(cuts):
+            for index in np.flatnonzero(terminated | truncated).tolist():
                 self._episodes[index] += 1
                 self._begin(index)
             self.observations = self.environment.scale(self._raw)
-        return Step(following, rewards, terminated, truncated & ~terminated)
+        return Step(
+            following,
+            np.array(rewards, dtype=np.float32),
+            terminated,
+            truncated & ~terminated,
+        )
 
     def state_dict(self) -> dict[str, Any]:
         """Which episode each copy is in, and how it came to where it is."""
