@@ -61,7 +61,7 @@ def _run(composed: DictConfig) -> None:
     try:
         run(config, display, _variant(composed))
     except KeyboardInterrupt as stopped:
-        sys.exit(f"ril-run: {stopped or 'stopped'}")
+        sys.exit(f"ril-run: {str(stopped) or 'stopped'}")
     finally:
         display.stop()
 

@@ -41,9 +41,9 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
     except MISTAKES as error:
         refuse(error)
     except ValueError as error:
-        if "Config group override" not in str(error):
+        if not any(known in str(error) for known in ("Config group override", "Only one of --")):
             raise
-        refuse(error)  # group=null
+        refuse(error)  # group=null, or two flags
     except KeyboardInterrupt:
         sys.exit(stopped)
 

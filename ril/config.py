@@ -14,7 +14,13 @@ from typing import Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from ril.errors import UserError
-from ril.schema import Config, ReinforcementConfig, RILConfig, RILSequentialConfig
+from ril.schema import (
+    Config,
+    OnlineQLearningConfig,
+    ReinforcementConfig,
+    RILConfig,
+    RILSequentialConfig,
+)
 
 #: Keys that cannot change a number; the demonstrations enter by their content.
 _NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes")
@@ -157,8 +163,9 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
     for key in _NOT_IN_RUN_ID:
         del content[key]
     content["demonstrations"] = demonstrations_sha256
-    if content["compile"] == "auto":
-        del content["compile"]  # rounding may differ between machines anyway
+    compiles = isinstance(getattr(config.method, "q_learning", None), OnlineQLearningConfig)
+    if content["compile"] == "auto" or not compiles:
+        del content["compile"]  # of auto, rounding may differ between machines anyway
     for key in idle_ablations(config):
         del content["ablation"][key]
     canonical = json.dumps(content, sort_keys=True)

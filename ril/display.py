@@ -163,7 +163,7 @@ def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
         ("TD loss", "td_loss", ".4g"),
         ("ε", "epsilon", ".3f"),
     ):
-        if metric in progress.metrics:
+        if metric in progress.metrics and not np.isnan(progress.metrics[metric]).any():
             facts[name] = format(progress.metrics[metric].mean(), form)
     if progress.stopped.any():
         facts["stopped"] = f"{progress.stopped.sum()} of {len(progress.stopped)} seeds"

@@ -64,6 +64,8 @@ class Record:
         aer: NDArray[np.float64],
         looked_at: NDArray[np.bool_],
         metrics: dict[str, NDArray[np.float64]],
+        *,
+        may_be_best: bool = True,
     ) -> None:
         """Take in an evaluation of the last policies.
 
@@ -71,6 +73,7 @@ class Record:
             aer: (S,) mean returns.
             looked_at: (S,) seeds that it counts for; they were still training in this epoch.
             metrics: diagnostics of the epoch by name, each (S,).
+            may_be_best: whether the policies may be their seeds' best ones.
         """
         samples = self.env_samples + self.expert_samples
         for index in np.flatnonzero(looked_at).tolist():
@@ -84,6 +87,8 @@ class Record:
                     of_seed,
                 )
             )
+        if not may_be_best:
+            return
         better = looked_at & (aer > self.best_aer)
         self.best_aer[better] = aer[better]
         self.best_epoch[better] = self.epochs[better]

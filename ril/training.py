@@ -118,7 +118,8 @@ def _train(cell: Cell, record: Record, evaluation: Evaluation, display: Display)
                     metrics["label_accuracy"] = right.mean(axis=1)
                 purpose = f"after epoch {progress.epoch}"
                 returns = evaluation.returns(method.policy, settings.selection_episodes, purpose)
-                record.evaluated(returns.mean(axis=1), looked_at, metrics)
+                aer, may_win = returns.mean(axis=1), progress.can_be_best
+                record.evaluated(aer, looked_at, metrics, may_be_best=may_win)
             display.advanced(progress, record)
             # A run that may not be resumed has no use for a checkpoint.
             due = stop.is_set() or time.monotonic() - saved > CHECKPOINT_SECONDS

@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import torch
 from matched_dqn import composed, stable_baselines_dqn
 from rich.console import Console
@@ -61,8 +60,7 @@ def ril_rate(config: Config, *, compiled: bool) -> float:
     """Seed-steps per second of ten seeds together."""
     assert isinstance(config.method, DQNConfig)
     environment = load_environment(config.env)
-    nothing = np.zeros((0, environment.observation_size), dtype=np.float32)
-    expert = StateTransitions(nothing, nothing, trajectories=0)
+    expert = StateTransitions.none(environment)
     device, seeds = torch.device("cpu"), tuple(range(SEEDS))
     method = DQN(config.method, Task(environment, expert, seeds, config.ablation, device, compiled))
     started, before = 0.0, 0

@@ -42,8 +42,7 @@ COLUMNS = ("learner", "seed", "total_timesteps", *(f"return_{part + 1}" for part
 def by_ril(config: Config, environment: Environment) -> list[list[float]]:
     """(S, PARTS) mean returns of all seeds, trained together."""
     assert isinstance(config.method, DQNConfig)
-    nothing = np.zeros((0, environment.observation_size), dtype=np.float32)
-    expert = StateTransitions(nothing, nothing, trajectories=0)
+    expert = StateTransitions.none(environment)
     task = Task(environment, expert, SEEDS, config.ablation, torch.device("cpu"))
     method, evaluation = DQN(config.method, task), Evaluation(environment, SEEDS)
     marks = [method.epochs * (part + 1) // PARTS for part in range(PARTS)]

@@ -471,7 +471,7 @@ def leaves(node: Any, key: str = "") -> list[tuple[str, Any]]:
 def test_run_id_depends_on_every_other_key(compose: Any) -> None:
     plain = identifier(compose)
     for key, value in leaves(compose()):
-        if key in ("output_dir", "resume", "demonstrations", "processes"):
+        if key in ("compile", "output_dir", "resume", "demonstrations", "processes"):
             continue
         config = compose()
         parent, _, name = key.rpartition(".")
@@ -532,3 +532,9 @@ def test_run_id_does_not_depend_on_how_a_value_was_chosen(compose: Any) -> None:
     assert identifier(compose, "env=cartpole", "fidelity=paper") == identifier(
         compose, "env=cartpole", "fidelity=works"
     )
+
+
+def test_run_id_does_not_depend_on_compilation_where_nothing_is_compiled(compose: Any) -> None:
+    for method in ("ril", "bc", "ppo", "acktr"):
+        usual = identifier(compose, f"method={method}")
+        assert identifier(compose, f"method={method}", "compile=true") == usual

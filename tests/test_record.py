@@ -129,3 +129,13 @@ def test_a_saved_record_goes_on_alike(record: Record) -> None:
         each.evaluated(np.array([-100.0, -100.0]), np.array([True, False]), {})
     assert resumed.curve == record.curve
     assert repr(resumed.state_dict()) == repr(record.state_dict())
+
+
+def test_a_look_that_may_not_win_is_of_the_curve_only(record: Record) -> None:
+    record.advance(progress(1), parameters(1))
+    record.evaluated(np.array([-90.0, -90.0]), ALL, {}, may_be_best=False)
+    record.advance(progress(2), parameters(2))
+    record.evaluated(np.array([-150.0, -120.0]), ALL, {})
+    assert [point.aer for point in record.curve] == [-90.0, -90.0, -150.0, -120.0]
+    assert record.best_epoch.tolist() == [2, 2]
+    assert record.best_aer.tolist() == [-150.0, -120.0]

@@ -25,6 +25,12 @@ class StateTransitions:
     next_observations: Floats
     trajectories: int
 
+    @classmethod
+    def none(cls, environment: Environment) -> StateTransitions:
+        """What a method sees that is shown no expert."""
+        nothing = np.zeros((0, environment.observation_size), dtype=np.float32)
+        return cls(nothing, nothing, trajectories=0)
+
     @property
     def mean_length(self) -> float:
         """Transitions per trajectory, which sets the replay memory's size (§3.4)."""

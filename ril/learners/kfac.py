@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ril.errors import UserError
 from ril.schema import KFACConfig
 from ril.vectorized.networks import MLP, Network, apply_linear
 
@@ -58,7 +59,13 @@ class FactoredLayer:
         for factor, eigenvalues, basis in zip(
             self.factors, self.eigenvalues, self.bases, strict=True
         ):
-            values, vectors = torch.linalg.eigh(factor)
+            try:
+                values, vectors = torch.linalg.eigh(factor)
+            except RuntimeError:  # of linear algebra
+                raise UserError(
+                    "method.actor, method.critic: a network is no longer finite; lower its "
+                    "learning_rate or kl_clip"
+                ) from None
             eigenvalues.copy_(values.clamp_min(0))  # which rounding may leave below
             basis.copy_(vectors)
 

@@ -35,6 +35,7 @@ class OnlineQLearning:
         policy: that acts, read as a Q-function.
         kind: what exploring draws from, softmax or uniform (`learners/exploration.py`).
         total_steps: of each seed; prioritised replay undoes all of its bias at the last.
+        purpose: of the random numbers by which it explores.
 
     Attributes:
         steps: that each seed has taken.
@@ -47,6 +48,7 @@ class OnlineQLearning:
         policy: Network,
         kind: str,
         total_steps: int,
+        purpose: str = "exploration",
     ) -> None:
         self.config = config
         self.policy = policy
@@ -61,9 +63,15 @@ class OnlineQLearning:
         priorities = None
         if replay.alpha > 0:
             priorities = Priorities(len(seeds), replay.capacity, replay.alpha, task.device)
+        try:
+            memory = Replay(len(seeds), replay.capacity, environment.observation_size, task.device)
+        except RuntimeError:
+            raise UserError(
+                f"method.q_learning.replay.capacity={replay.capacity}: does not fit into memory"
+            ) from None
         self.learner = QLearning(
             policy,
-            Replay(len(seeds), replay.capacity, environment.observation_size, task.device),
+            memory,
             config,
             Streams(seeds, "replay batches"),
             priorities=priorities,
@@ -71,7 +79,7 @@ class OnlineQLearning:
             fused=worth_compiling(task.compile, updates),
         )
         self._action_count = environment.action_count
-        self._exploration = Streams(seeds, "exploration")
+        self._exploration = Streams(seeds, purpose)
         self._returns = np.zeros(len(seeds))  # of the episodes under way
         self._last_returns = np.full(len(seeds), np.nan)  # of the last that ended
 

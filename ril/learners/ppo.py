@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from ril.environments import Environment, Floats
 from ril.errors import UserError
 from ril.learners.stable_baselines import Normalised, StableBaselinesEnvironments
+from ril.learners.topology import tanh_mlp
 from ril.schema import PPOConfig
 from ril.vectorized.networks import MLP
 from ril.vectorized.rollout import Integers
@@ -28,14 +29,7 @@ from ril.vectorized.stepping import SteppedEnvironments
 
 def actor_topology(config: PPOConfig, environment: Environment) -> MLP:
     """What acts in "MlpPolicy": tanh layers between observations and action logits."""
-    return MLP(
-        environment.observation_size,
-        tuple(config.hidden),
-        environment.action_count,
-        attention=False,
-        layer_norm=False,
-        negative_slope=None,
-    )
+    return tanh_mlp(environment.observation_size, config.hidden, environment.action_count)
 
 
 class PPOAgent:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ril.schema import NetworkConfig
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
@@ -17,6 +19,11 @@ def mlp(config: NetworkConfig, inputs: int, outputs: int) -> MLP:
         config.layer_norm,
         config.negative_slope,
     )
+
+
+def tanh_mlp(inputs: int, hidden: Sequence[int], outputs: int) -> MLP:
+    """The plain network of PPO, ACKTR and GAIL's discriminator: Linear layers, tanh between."""
+    return MLP(inputs, tuple(hidden), outputs, False, False, negative_slope=None)
 
 
 def initial_policy(config: NetworkConfig, task: Task) -> Network:

@@ -11,14 +11,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.environments import Environment, Floats
+from ril.environments import Floats
 from ril.learners.advantages import generalised_advantages
 from ril.learners.exploration import sample_softmax
 from ril.learners.kfac import KFAC
+from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
 from ril.schema import ACKTRConfig
 from ril.task import Task
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.networks import Network
 from ril.vectorized.stepping import Step, SteppedEnvironments
 from ril.vectorized.streams import Streams
 
@@ -28,7 +29,7 @@ class ACKTR:
 
     Args:
         config: `method` of the configuration.
-        task: environment and seeds; there is no expert in it.
+        task: environment and seeds; its expert is empty.
     """
 
     def __init__(self, config: ACKTRConfig, task: Task) -> None:
@@ -38,8 +39,9 @@ class ACKTR:
         self.random_steps = config.n_envs * config.standardise_steps
         left = max(1, config.total_timesteps - self.random_steps)
         self.epochs = math.ceil(left / self.rollout_steps)
-        actor = tanh_network(config, environment, environment.action_count)
-        critic = tanh_network(config, environment, 1)
+        size = environment.observation_size
+        actor = tanh_mlp(size, config.hidden, environment.action_count)
+        critic = tanh_mlp(size, config.hidden, 1)
         self.policy = Network.initialise(actor, seeds, "policy", task.device)
         self.value = Network.initialise(critic, seeds, "value", task.device)
         self.actor = KFAC(self.policy, config.actor)
@@ -78,7 +80,7 @@ class ACKTR:
         for actions in chosen.swapaxes(0, 1):  # (S, K) at each step
             seen.append(self.environments.observations)
             self.environments.step(actions.ravel())
-        if seen:
+        if len(seen) * self.config.n_envs > 1:
             states = self._by_seed(np.stack(seen))
             standardise_inputs(self.policy, states)
             standardise_inputs(self.value, states)
@@ -187,9 +189,3 @@ def standardise_inputs(network: Network, states: Tensor) -> None:
     mean, deviation = states.mean(dim=1, keepdim=True), states.std(dim=1, keepdim=True)
     weight.div_(deviation.mT + 1e-3)  # which may be 0
     bias.sub_((mean.mT * weight).sum(dim=1, keepdim=True))
-
-
-def tanh_network(config: ACKTRConfig, environment: Environment, outputs: int) -> MLP:
-    """The topology of policy or value function: tanh layers between observations and outputs."""
-    hidden, inputs = tuple(config.hidden), environment.observation_size
-    return MLP(inputs, hidden, outputs, attention=False, layer_norm=False, negative_slope=None)

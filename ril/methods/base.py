@@ -25,6 +25,7 @@ class Progress:
         metrics: named diagnostics, each (S,).
         pseudo_labels: (S, M) actions given to the expert's transitions; None without.
         can_act: whether the policy is one yet, so that it is worth looking at.
+        can_be_best: whether such a look may be the run's best.
     """
 
     epoch: int
@@ -35,6 +36,7 @@ class Progress:
     metrics: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     pseudo_labels: NDArray[np.int64] | None = None
     can_act: bool = True
+    can_be_best: bool = True
 
 
 class Method(Protocol):

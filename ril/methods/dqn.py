@@ -33,7 +33,7 @@ class DQN:
 
     Args:
         config: `method` of the configuration.
-        task: environment and seeds; the expert is not looked at.
+        task: environment and seeds; its expert is empty.
     """
 
     def __init__(self, config: DQNConfig, task: Task) -> None:

@@ -15,10 +15,11 @@ from ril.demonstrations.trajectories import LabelledTransitions
 from ril.environments import Floats
 from ril.learners.discriminator import Discriminator, state_action_pairs
 from ril.learners.ppo import PPOAgent, actor_topology
+from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
 from ril.schema import GAILConfig
 from ril.task import Task
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.networks import Network
 from ril.vectorized.processes import Spread
 from ril.vectorized.streams import Streams
 
@@ -43,8 +44,7 @@ class GAIL:
         flat = torch.stack(self.agents.each(PPOAgent.actor)).to(task.device)
         self.policy = Network(topology, flat)
         features = environment.observation_size + environment.action_count
-        hidden = tuple(config.discriminator.hidden)
-        shape = MLP(features, hidden, 1, attention=False, layer_norm=False, negative_slope=None)
+        shape = tanh_mlp(features, config.discriminator.hidden, 1)
         self.discriminator = Discriminator(
             Network.initialise(shape, seeds, "discriminator", task.device),
             config.discriminator,

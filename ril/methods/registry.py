@@ -6,8 +6,6 @@ import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from ril.demonstrations.trajectories import Demonstrations, StateTransitions
 from ril.environments import Environment
 from ril.methods.base import Method
@@ -40,8 +38,7 @@ class Entry:
     def shown(self, expert: Demonstrations, environment: Environment) -> StateTransitions:
         """What it may see of an expert."""
         if not self.sees_expert:
-            nothing = np.zeros((0, environment.observation_size), dtype=np.float32)
-            return StateTransitions(nothing, nothing, trajectories=0)
+            return StateTransitions.none(environment)
         return expert.labelled(environment) if self.sees_actions else expert.states(environment)
 
 

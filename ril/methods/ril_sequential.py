@@ -31,7 +31,8 @@ class SequentialRIL:
     def __init__(self, config: RILSequentialConfig, task: Task) -> None:
         if config.stopping.patience is not None:
             raise UserError(
-                "method.stopping.patience: RIL* trains all of its epochs; leave it null"
+                f"method.stopping.patience={config.stopping.patience}: must be null, since "
+                "RIL* trains all of its epochs"
             )
         self.config = config
         self.task = task
@@ -43,7 +44,12 @@ class SequentialRIL:
         if q_learning.replay.capacity is None:
             q_learning.replay.capacity = max(1, round(10 * task.expert.mean_length))  # §3.4
         self.q_learning = OnlineQLearning(
-            q_learning, task, self.policy, config.exploration.kind, config.total_timesteps
+            q_learning,
+            task,
+            self.policy,
+            config.exploration.kind,
+            config.total_timesteps,
+            purpose="exploration of the second half",
         )
         self.epoch = 0
         self.imitation_samples = np.zeros(len(task.seeds), dtype=np.int64)
@@ -68,6 +74,7 @@ class SequentialRIL:
                 stopped=np.zeros(len(self.task.seeds), dtype=bool),
                 metrics=metrics,
                 pseudo_labels=labels,
+                can_be_best=labels is None,  # the clone is what the second half begins with
             )
 
     def _imitate(self) -> tuple[Metrics, NDArray[np.int64]]:

@@ -52,10 +52,10 @@ def shortfall(rows: pd.DataFrame, table: str, method: str) -> list[str]:
     """In what a cell's rows fall short of a table's seeds and the method's budget, in words."""
     reported = paper()[table]
     wanted = {"seeds": reported["seeds"], **reported["budget"].get(method, {})}
-    names = {"env_samples": "environment steps"}
+    names = dict.fromkeys(("env_samples", "total_timesteps"), "environment steps")
     short = []
     for what, full in wanted.items():
-        have = len(rows) if what == "seeds" else int(rows[what].max())
+        have = len(rows) if what == "seeds" else int(rows[what].fillna(0).max())
         if have < full:
             short.append(f"{have:,} of {full:,} {names.get(what, what)}")
     return short

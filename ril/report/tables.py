@@ -93,8 +93,8 @@ def fullest_cell(rows: pd.DataFrame) -> pd.DataFrame:
     Of different lengths, that with the most seeds, then the longest; of a seed that was run
     twice, its newer row. The empty frame if there are none.
     """
-    budgets = rows["total_timesteps"].fillna(rows["epochs"])
-    length = budgets.groupby(rows["run_id"]).transform("max")
+    budgets = rows.groupby("run_id")[["total_timesteps", "epochs"]].transform("max").fillna(0)
+    length = pd.Series(list(budgets.itertuples(index=False, name=None)), rows.index)
     seeds = rows.groupby(length)["seed"].nunique().sort_index()
     if seeds.empty:
         return rows

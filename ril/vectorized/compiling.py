@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import sysconfig
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from ril.errors import UserError
@@ -21,9 +23,12 @@ def worth_compiling(wanted: bool | str, updates: int) -> bool:
         UserError: it is wanted, and torch finds no compiler.
     """
     candidates = [os.environ["CXX"]] if "CXX" in os.environ else ["g++", "clang++", "c++"]
-    possible = any(shutil.which(name) for name in candidates)
+    header = Path(sysconfig.get_path("include"), "Python.h")
+    possible = any(shutil.which(name) for name in candidates) and header.exists()
     if wanted is True and not possible:
-        raise UserError(f"compile=true: no C++ compiler found ({', '.join(candidates)})")
+        raise UserError(
+            f"compile=true: no C++ compiler found ({', '.join(candidates)}), or not {header}"
+        )
     return possible if wanted is True else wanted == "auto" and possible and updates >= _WORTHWHILE
 
 

@@ -127,8 +127,8 @@ def _work(connection: Connection) -> None:
             request = connection.recv_bytes()
             try:
                 work, arguments = pickle.loads(request)
-                answer = work(objects, *arguments)
+                answer = pickle.dumps(work(objects, *arguments))
             except Exception as error:
                 error.add_note(f"In a worker process:\n{traceback.format_exc()}")
-                answer = error
-            connection.send_bytes(pickle.dumps(answer))
+                answer = pickle.dumps(error)
+            connection.send_bytes(answer)

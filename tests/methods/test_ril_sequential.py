@@ -20,6 +20,7 @@ from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.streams import Streams
 
+SECOND = "exploration of the second half"
 Make = Callable[..., SequentialRIL]
 EPOCHS = 6  # of the first half; the second has one for each of its 60 steps
 
@@ -94,7 +95,7 @@ def second_half(
     policy.flat.copy_(middle["policy"])
     settings: Any = config.method
     settings.q_learning.replay.capacity = round(10 * len(task.expert.observations))
-    q_learning = OnlineQLearning(settings.q_learning, task, policy, "softmax", 60)
+    q_learning = OnlineQLearning(settings.q_learning, task, policy, "softmax", 60, SECOND)
     ratio = Streams(task.seeds, "exploration ratio")
     ratio.load_state_dict(middle["parts"]["imitation"]["parts"]["exploration ratio stream"])
     states = torch.from_numpy(task.expert.observations).expand(2, -1, -1)
@@ -192,5 +193,11 @@ def test_the_configuration_stays_as_it_was(quick: Any, make_task: Callable[[Conf
 
 
 def test_a_stopping_rule_is_refused(make: Any) -> None:
-    with pytest.raises(UserError, match=r"^method\.stopping\.patience: "):
+    with pytest.raises(UserError, match=r"^method\.stopping\.patience=1: "):
         make("method.stopping.patience=1")
+
+
+def test_only_looks_in_the_second_half_may_be_the_best(halves: Any) -> None:
+    _, first, second, _ = halves
+    assert not any(progress.can_be_best for progress in first)
+    assert all(progress.can_be_best for progress in second)

@@ -254,6 +254,7 @@ def test_the_papers_numbers_of_the_halves_in_sequence_are_its_own() -> None:
 
 def test_methods_without_an_expert_count_in_table_4() -> None:
     alone = {"method": "dqn_prioritized", "k": None, "n": None, "trajectories": None}
+    alone["total_timesteps"] = 2_000_000
     found = results_table(rows(alone | {"aer": -120.0}), "table4")
     assert our_cells(found, "DQN₂")[2] == "-120.00 ± 0.00 (1 seed)"
     assert "- DQN₂ on MountainCar was run with 1 of 10 seeds" in notes(found)
@@ -276,6 +277,15 @@ def test_runs_of_another_budget_do_not_count_together() -> None:
     long, short = ({"run_id": name, "total_timesteps": int(name)} for name in ("9000", "300"))
     cells = [usual | long, usual | short | {"seed": 1}, usual | short | {"seed": 2}]
     assert fullest_cell(rows(*cells))["run_id"].tolist() == ["300", "300"]
+
+
+def test_runs_of_another_first_half_do_not_count_together() -> None:
+    usual = {"method": "ril_sequential", "total_timesteps": 2_000_000}
+    cells = [
+        usual | {"run_id": "whole", "epochs": 1100},
+        usual | {"run_id": "short", "epochs": 1005},
+    ]
+    assert fullest_cell(rows(*cells))["run_id"].tolist() == ["whole"]
 
 
 def test_a_cell_in_the_paper() -> None:
