@@ -144,7 +144,8 @@ def test_workers_end_with_what_they_work_for() -> None:
 
 
 PARENT = """
-import time
+import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
 from test_processes import process_of, spread, wait_long
 kept = spread([1, 2], 2)
 print(*kept.each(process_of), flush=True)
