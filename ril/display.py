@@ -14,7 +14,7 @@ from rich.table import Table
 
 from ril.methods import base
 from ril.record import Record
-from ril.report.paper import paper_cell
+from ril.report.beside import paper_cell
 from ril.results import load_results
 from ril.schema import Config
 
@@ -109,7 +109,7 @@ class ConsoleDisplay:
 
     def finished(self, rows: Path, *, skipped: bool) -> None:
         """Show the rows, their mean beside the paper's number, and the folder."""
-        frame = load_results([rows.parent])
+        frame, _ = load_results([rows.parent])
         first = frame.iloc[0]
         table = Table(
             "seed",

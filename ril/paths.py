@@ -15,3 +15,15 @@ def config_folder() -> Path:
         if (folder / "env").is_dir():
             return folder
     raise FileNotFoundError(f"no configuration beside {_PACKAGE}; install ril again")
+
+
+def docs_folder() -> Path:
+    """A page per method and `deviations.md`: `ril/docs` in an installed wheel, else `docs`.
+
+    Raises:
+        FileNotFoundError: neither is there, so the installation is broken.
+    """
+    for folder in (_PACKAGE / "docs", _PACKAGE.parent / "docs"):
+        if (folder / "deviations.md").is_file():
+            return folder
+    raise FileNotFoundError(f"no documentation beside {_PACKAGE}; install ril again")

@@ -402,7 +402,7 @@ def test_rows_name_what_sets_their_method_apart(
     named: bool,
 ) -> None:
     assert here(*quick_command, override).status == 0
-    found = load_results([tmp_path])["variant"].iloc[0].split()
+    found = load_results([tmp_path])[0]["variant"].iloc[0].split()
     assert (override in found) is named
     assert "demonstrations=cartpole.npz" in found
     assert not [each for each in found if each.startswith(("method.epochs", "ablation", "seeds"))]

@@ -1,0 +1,100 @@
+"""Performance P of the methods over all four environments, and RIL's chance to be ahead."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ril.report.evidence import Evidence
+from ril.report.findings import REFERENCES, find
+from ril.report.layout import Grid
+from ril.report.paper import ENVIRONMENTS, Cell, Setting, table
+from ril.report.statistics import Aggregate, aggregate, probability_of_improvement
+
+Scores = dict[str, NDArray[np.float64]]  # performance P per seed, by environment
+
+
+def methods(evidence: Evidence) -> list[str]:
+    """All methods that learn, by the paper's names; those that it does not have last."""
+    papers = [
+        cell.setting.method
+        for name in ("table2", "table4", "table5")
+        for cell in table(name).cells()
+        if cell.setting.method not in REFERENCES
+    ]
+    return list(dict.fromkeys([*papers, *evidence.beyond]))
+
+
+def performances(evidence: Evidence, score: str) -> dict[str, Scores]:
+    """P of every method from one expert trajectory or none, where it is run.
+
+    Args:
+        evidence: our rows.
+        score: of each run's "best" or "last" policy.
+    """
+    every: dict[str, Scores] = {}
+    for method in methods(evidence):
+        for env in ENVIRONMENTS:
+            setting = Setting(method, env, trajectories=1, k=2, n=150)
+            found = find(Cell("table2", "performance", setting, None, None), evidence, score)
+            if found.values:
+                every.setdefault(method, {})[env] = np.array(found.values)
+    return every
+
+
+def aggregates(every: dict[str, Scores]) -> dict[str, Aggregate]:
+    """Aggregates of those methods that are run on all four environments."""
+    return {
+        method: aggregate(scores)
+        for method, scores in every.items()
+        if len(scores) == len(ENVIRONMENTS)
+    }
+
+
+def improvements(every: dict[str, Scores]) -> dict[str, tuple[float, float, float]]:
+    """Probability that RIL improves on each other method, where both are run, and its interval."""
+    if "RIL" not in every:
+        return {}
+    return {
+        method: probability_of_improvement(every["RIL"], scores)
+        for method, scores in every.items()
+        if method != "RIL" and every["RIL"].keys() & scores.keys()
+    }
+
+
+def statistics_grid(every: dict[str, Scores]) -> Grid:
+    """Both as one table."""
+    over_all, ahead = aggregates(every), improvements(every)
+    body = []
+    for method, scores in every.items():
+        found = over_all.get(method)
+        parts = (
+            (found.mean, found.median, found.iqm, found.optimality_gap) if found else (None,) * 4
+        )
+        seeds = [len(values) for values in scores.values()]
+        count = str(seeds[0]) if len(set(seeds)) == 1 else f"{min(seeds)}–{max(seeds)}"
+        texts = [
+            "" if part is None else _with_interval(part) for part in (*parts, ahead.get(method))
+        ]
+        body.append([method, str(len(scores)), count, *texts])
+    return Grid(
+        "statistics",
+        "Performance P from one expert trajectory or rewards alone, and its 95 % intervals",
+        1,
+        [
+            "Method",
+            "Environments",
+            "Seeds",
+            "Mean",
+            "Median",
+            "IQM",
+            "Optimality gap",
+            "P(RIL > it)",
+        ],
+        body,
+        ["aggregates only of methods that are run on all four environments"],
+    )
+
+
+def _with_interval(part: tuple[float, float, float]) -> str:
+    return f"{part[0]:.2f} [{part[1]:.2f}, {part[2]:.2f}]"

@@ -1,0 +1,98 @@
+"""Tables as Markdown, LaTeX, or plain data."""
+
+from __future__ import annotations
+
+import re
+
+import pandas as pd
+
+from ril.report.layout import Grid, Results
+
+_LATEX = {
+    "π*": r"$\pi^*$",
+    "±": r"$\pm$",
+    "…": r"\dots{}",
+    "₁": r"$_1$",
+    "₂": r"$_2$",
+    "*": r"$^*$",
+    "−": r"$-$",
+    "§": r"\S{}",
+    "\\": r"\textbackslash{}",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+    **{special: rf"\{special}" for special in "&%$#_{}"},
+}
+_LATEX_SPECIAL = re.compile("|".join(map(re.escape, _LATEX)))
+
+
+def as_markdown(grid: Grid) -> str:
+    """A table as Markdown that also reads well as it is, with notes below it."""
+    lines = [[cell.replace("|", r"\|") for cell in line] for line in (grid.head, *grid.body)]
+    widths = [max(3, *map(len, column)) for column in zip(*lines, strict=True)]
+    rules = ["-" * width for width in widths]
+    padded = [
+        [cell.ljust(width) for cell, width in zip(line, widths, strict=True)]
+        for line in (lines[0], rules, *lines[1:])
+    ]
+    text = [f"**{grid.title}**", "", *(f"| {' | '.join(line)} |" for line in padded)]
+    if grid.notes:
+        text += ["", *(f"- {note}" for note in grid.notes)]
+    return "\n".join(text) + "\n"
+
+
+def as_latex(grid: Grid) -> str:
+    """A table as a LaTeX float; it needs the package booktabs."""
+    columns = "l" * grid.labels + "r" * (len(grid.head) - grid.labels)
+    text = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{_escaped(grid.title)}}}",
+        rf"\label{{tab:{grid.name}}}",
+        rf"\begin{{tabular}}{{{columns}}}",
+        r"\toprule",
+        _latex_line(grid.head),
+        r"\midrule",
+    ]
+    for number, line in enumerate(grid.body):
+        if line[0] and number:
+            text.append(r"\addlinespace")
+        text.append(_latex_line(line))
+    return "\n".join([*text, r"\bottomrule", r"\end{tabular}", r"\end{table}"]) + "\n"
+
+
+def _latex_line(cells: list[str]) -> str:
+    return " & ".join(map(_escaped, cells)) + r" \\"
+
+
+def _escaped(text: str) -> str:
+    return _LATEX_SPECIAL.sub(lambda found: _LATEX[found[0]], text)
+
+
+def grid_as_csv(grid: Grid) -> str:
+    """A table of texts as CSV."""
+    return pd.DataFrame(grid.body, columns=grid.head).to_csv(index=False)
+
+
+def as_csv(contents: list[Results]) -> str:
+    """Tables as CSV, a line per number: what it is of, ours, the paper's, and the verdict."""
+    lines = pd.DataFrame(
+        {
+            "table": found.cell.table,
+            "quantity": found.cell.quantity,
+            **vars(found.cell.setting),
+            "mean": found.mean,
+            "std": found.spread,
+            "seeds": len(found.values),
+            "low": found.interval[0] if found.interval else None,
+            "high": found.interval[1] if found.interval else None,
+            "paper_mean": found.cell.mean,
+            "paper_spread": found.cell.spread,
+            "verdict": found.verdict,
+            "short": "; ".join(found.short),
+            "command": found.command,
+            "run_ids": " ".join(found.run_ids),
+        }
+        for content in contents
+        for found in content.findings
+    )
+    return lines.to_csv(index=False, float_format="%.6g")

@@ -1,0 +1,147 @@
+"""What was asked of a report, written: tables to standard output, figures and the page to files."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.markdown import Markdown
+
+from ril.errors import UserError
+from ril.files import write_atomically
+from ril.report import aggregates
+from ril.report.audit.contradictions import audit, contradictions_grid
+from ril.report.evidence import Evidence
+from ril.report.formats import as_csv, as_latex, as_markdown, grid_as_csv
+from ril.report.layout import Results, grid, results
+from ril.report.paper import TABLES
+from ril.report.provenance import runs
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked for.
+
+    Attributes:
+        targets: names of tables and figures, in the order of the report.
+        audit: whether the paper's contradictions are.
+        form: "md", "csv", "latex" or "html".
+        score: of each run's "best" or "last" policy.
+        outputs: folders of runs.
+        to: folder of the files that are written.
+    """
+
+    targets: tuple[str, ...]
+    audit: bool
+    form: str
+    score: str
+    outputs: tuple[Path, ...]
+    to: Path
+
+
+def write(wanted: Wanted) -> None:
+    """Make what is wanted; print it, or say where it is.
+
+    Raises:
+        UserError: a file cannot be written.
+    """
+    console = Console(stderr=True, highlight=False)
+    with console.status("reading rows"):
+        evidence = Evidence.of(wanted.outputs)
+    for line in evidence.left_out:
+        console.print(f"left out: {line}", soft_wrap=True, markup=False)
+    with console.status("comparing with the paper"):
+        tables = [
+            results(name, evidence, wanted.score) for name in wanted.targets if name in TABLES
+        ]
+    if wanted.form == "html":
+        _print(str(_page(wanted, evidence, tables, console)))
+        return
+    for text in _texts(wanted, evidence, tables):
+        _print(text, as_markdown=wanted.form == "md")
+    if any(name not in TABLES for name in wanted.targets):
+        _save_figures(wanted, evidence, console)
+
+
+def _texts(wanted: Wanted, evidence: Evidence, tables: list[Results]) -> Iterator[str]:
+    """Tables for standard output."""
+    grids = [grid(table) for table in tables]
+    if "statistics" in wanted.targets:
+        every = aggregates.performances(evidence, wanted.score)
+        grids.append(aggregates.statistics_grid(every))
+    if wanted.audit:
+        grids.append(contradictions_grid(audit()))
+    if wanted.form == "csv":  # numbers as numbers, not as texts
+        grids = [given for given in grids if given.name not in TABLES]
+        if tables:
+            yield as_csv(tables)
+    yield from (_FORMATS[wanted.form](given) for given in grids)
+
+
+def _save_figures(wanted: Wanted, evidence: Evidence, console: Console) -> None:
+    """Write the figures and name their files."""
+    from ril.report.drawing import drawings  # here: tables need neither matplotlib nor torch
+    from ril.report.figures.style import save
+
+    for drawing in drawings(wanted.targets):
+        with console.status(f"drawing {drawing.name}"), _writable(wanted.to):
+            figure = drawing.draw(evidence, wanted.score)
+            files = save(figure, wanted.to, drawing.name) if figure else []
+        for file in files:
+            console.print(str(file), soft_wrap=True, markup=False)
+        if not files:
+            console.print(f"{drawing.name}: no rows to draw yet")
+
+
+def _page(wanted: Wanted, evidence: Evidence, tables: list[Results], console: Console) -> Path:
+    """Write the page; returns its file."""
+    from ril.report.drawing import drawings
+    from ril.report.figures.style import as_svg
+    from ril.report.page import Drawn, Report, page
+
+    drawn = []
+    for drawing in drawings(wanted.targets):
+        with console.status(f"drawing {drawing.name}"):
+            figure = drawing.draw(evidence, wanted.score)
+            svg = as_svg(figure, drawing.name) if figure else ""
+        drawn.append(Drawn(drawing.name, drawing.title, drawing.caption, svg))
+    every = aggregates.performances(evidence, wanted.score)
+    content = page(
+        Report(
+            score=wanted.score,
+            tables=tables,
+            figures=drawn,
+            aggregates=aggregates.aggregates(every),
+            improvement=aggregates.improvements(every),
+            contradictions=audit(),
+            runs=runs(evidence.rows),
+            left_out=evidence.left_out,
+        )
+    )
+    with _writable(wanted.to):
+        write_atomically(wanted.to / "index.html", content.encode())
+    return wanted.to / "index.html"
+
+
+_FORMATS = {"md": as_markdown, "latex": as_latex, "csv": grid_as_csv}
+
+
+@contextmanager
+def _writable(folder: Path) -> Iterator[None]:
+    """Make a folder for files, and say in one line if it or they cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        raise UserError(f"--to {folder}: cannot be written ({error.strerror})") from None
+
+
+def _print(text: str, *, as_markdown: bool = False) -> None:
+    if as_markdown and sys.stdout.isatty():
+        Console().print(Markdown(text))
+    else:
+        print(text)
