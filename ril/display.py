@@ -27,10 +27,12 @@ class ConsoleDisplay:
     Args:
         console: where to write.
         live: a panel that is redrawn, for terminals; otherwise a line every few seconds.
+        brief: of a finished cell that is skipped, say so in a line instead of showing its rows.
     """
 
-    def __init__(self, console: Console, *, live: bool) -> None:
+    def __init__(self, console: Console, *, live: bool, brief: bool = False) -> None:
         self._console = console
+        self._brief = brief
         self._is_live = live
         self._live: Live | None = None
         self._bar = Progress(TextColumn("{task.description}"), BarColumn(None), expand=True)
@@ -107,10 +109,18 @@ class ConsoleDisplay:
             self._live.stop()
             self._live = None
 
+    def noted(self, line: str) -> None:
+        """Say what happened, above the panel if there is one."""
+        self._console.print(line, soft_wrap=True, markup=False)
+
     def finished(self, rows: Path, *, skipped: bool) -> None:
         """Show the rows, their mean beside the paper's number, and the folder."""
         frame = load_results([rows.parent])
         first = frame.iloc[0]
+        if skipped and self._brief:
+            cell = f"env={first.env} method={first.method}"
+            self.noted(f"{cell}: finished before, so not run again: {rows.parent}")
+            return
         table = Table(
             "seed",
             "AER",
