@@ -1,0 +1,71 @@
+"""Hydra's sweeper for `ril-run -m`; here, since Hydra takes plugins from this package only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from hydra._internal.core_plugins import basic_sweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.utils import JobStatus
+from omegaconf import DictConfig
+
+
+class CellSweeper(basic_sweeper.BasicSweeper):
+    """Runs the cells of one or several sweeps by any launcher, those that are not finished.
+
+    Args:
+        max_batch_size: cells handed to the launcher at a time; None for all.
+        params: values by key, as of Hydra's own sweeper.
+        sweeps: the like, for one sweep after the other.
+    """
+
+    def __init__(
+        self,
+        max_batch_size: int | None,
+        params: dict[str, str] | None = None,
+        sweeps: Sequence[Mapping[str, str]] | None = None,
+    ) -> None:
+        super().__init__(max_batch_size, params)
+        self.sweeps = sweeps
+
+    def sweep(self, arguments: list[str]) -> None:
+        """Run what the command line asks for, and say what became of it.
+
+        Raises:
+            UserError: no cell can be run; nothing was written.
+            SystemExit: a cell failed, or the user stopped the sweep.
+        """
+        # Here, since Hydra loads plugins at every start.
+        from ril.command import in_one_line
+        from ril.sweep import expand, plan
+        from ril.sweep_progress import SweepProgress
+
+        assert self.config is not None
+        assert self.hydra_context is not None
+        assert self.launcher is not None
+        loader = self.hydra_context.config_loader
+        parser = OverridesParser.create(config_loader=loader)
+        lines = expand(self.sweeps, [*self._parse_config(), *arguments], parser)
+        overrides = [job for line in lines for job in self.split_arguments(line, None)[0]]
+
+        def compose(job: list[str]) -> DictConfig:
+            return loader.load_sweep_config(self.config, job)
+
+        cells = plan(overrides, compose, self.sweeps)
+        progress = SweepProgress(cells, self.config.hydra.launcher, Path(self.config.output_dir))
+        with progress.watched():
+            pending = progress.pending
+            size = self.max_batch_size or len(pending) or 1
+            for begun in range(0, len(pending), size):
+                batch = pending[begun : begun + size]
+                jobs = [cell.overrides for cell in batch]
+                try:
+                    returned = self.launcher.launch(jobs, initial_job_idx=begun)
+                except Exception as error:  # such as a worker that was killed
+                    progress.lost(batch, error)
+                    continue
+                for cell, job in zip(batch, returned, strict=True):
+                    if job.status == JobStatus.FAILED:  # its property would say so and raise
+                        cell.mistake = in_one_line(job._return_value)
+        progress.report()
