@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydra._internal.core_plugins import basic_sweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import JobStatus
 from omegaconf import DictConfig
+
+if TYPE_CHECKING:
+    from ril.sweep import Cell
+    from ril.sweep_progress import SweepProgress
+
+_LAUNCHES = 4  # of a cell at most, as Ray has it
 
 
 class CellSweeper(basic_sweeper.BasicSweeper):
@@ -37,13 +44,11 @@ class CellSweeper(basic_sweeper.BasicSweeper):
             SystemExit: a cell failed, or the user stopped the sweep.
         """
         # Here, since Hydra loads plugins at every start.
-        from ril.command import in_one_line
         from ril.sweep import expand, plan
         from ril.sweep_progress import SweepProgress
 
         assert self.config is not None
         assert self.hydra_context is not None
-        assert self.launcher is not None
         loader = self.hydra_context.config_loader
         parser = OverridesParser.create(config_loader=loader)
         lines = expand(self.sweeps, [*self._parse_config(), *arguments], parser)
@@ -58,14 +63,28 @@ class CellSweeper(basic_sweeper.BasicSweeper):
             pending = progress.pending
             size = self.max_batch_size or len(pending) or 1
             for begun in range(0, len(pending), size):
-                batch = pending[begun : begun + size]
-                jobs = [cell.overrides for cell in batch]
-                try:
-                    returned = self.launcher.launch(jobs, initial_job_idx=begun)
-                except Exception as error:  # such as a worker that was killed
-                    progress.lost(batch, error)
-                    continue
-                for cell, job in zip(batch, returned, strict=True):
+                self._launch(pending[begun : begun + size], begun, progress)
+        progress.report()
+
+    def _launch(self, cells: Sequence[Cell], begun: int, progress: SweepProgress) -> None:
+        """Have the launcher run some cells; again, where a worker of it was killed."""
+        from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+        from ril.command import in_one_line
+
+        assert self.launcher is not None
+        for _ in range(_LAUNCHES):
+            left = [cell for cell in cells if not cell.is_done]
+            if not left:
+                return
+            try:
+                returned = self.launcher.launch([cell.overrides for cell in left], begun)
+            except TerminatedWorkerError:  # joblib gives the others up too; Ray and Slurm do not
+                progress.lost(left, "a worker was killed, perhaps for want of memory")
+            except Exception as error:
+                return progress.lost(left, in_one_line(error))
+            else:
+                for cell, job in zip(left, returned, strict=True):
                     if job.status == JobStatus.FAILED:  # its property would say so and raise
                         cell.mistake = in_one_line(job._return_value)
-        progress.report()
+                return

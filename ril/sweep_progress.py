@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 from omegaconf import DictConfig
 
-from ril.command import in_one_line
 from ril.display import count, duration, mean_and_std
 from ril.errors import UserError
+from ril.interrupts import Stopped, stop_on_signals
 from ril.results import load_results
 from ril.schema import Config
 from ril.sweep import Cell
@@ -74,9 +74,13 @@ class SweepProgress:
         watcher = threading.Thread(target=self._watch, args=(over,), daemon=True)
         watcher.start()
         try:
-            yield
-        except (KeyboardInterrupt, SystemExit):  # the latter of a cell that was stopped
-            sys.exit(f"ril-run: stopped with {self._done()}; the same command goes on")
+            with stop_on_signals() as stop:
+                stop.at_once = True  # the cells keep checkpoints
+                yield
+        except (Stopped, SystemExit) as end:  # the latter of a cell that was stopped
+            said = f"ril-run: stopped with {self._done()}; the same command goes on"
+            print(said, file=sys.stderr, flush=True)
+            sys.exit(end.status if isinstance(end, Stopped) else end.code)
         finally:
             over.set()
             watcher.join()
@@ -97,11 +101,11 @@ class SweepProgress:
         done = sum(cell.is_done for cell in self._cells)
         return f"{done} of {count(len(self._cells), 'cell')} done"
 
-    def lost(self, cells: Sequence[Cell], error: Exception) -> None:
+    def lost(self, cells: Sequence[Cell], why: str) -> None:
         """The launcher failed, so that those of some cells that have no rows are still to be run."""
+        print(f"sweep: {self._done()}; {why}", flush=True)
         for cell in cells:
-            if not cell.is_done:
-                cell.mistake = f"did not end, since {in_one_line(error)}"
+            cell.mistake = f"did not end: {why}; the same command goes on"
 
     def report(self) -> None:
         """Say what each cell came to.
