@@ -49,16 +49,17 @@ class CellSweeper(basic_sweeper.BasicSweeper):
 
         assert self.config is not None
         assert self.hydra_context is not None
+        config = self.config
         loader = self.hydra_context.config_loader
         parser = OverridesParser.create(config_loader=loader)
         lines = expand(self.sweeps, [*self._parse_config(), *arguments], parser)
         overrides = [job for line in lines for job in self.split_arguments(line, None)[0]]
 
         def compose(job: list[str]) -> DictConfig:
-            return loader.load_sweep_config(self.config, job)
+            return loader.load_sweep_config(config, job)
 
         cells = plan(overrides, compose, self.sweeps)
-        progress = SweepProgress(cells, self.config.hydra.launcher, Path(self.config.output_dir))
+        progress = SweepProgress(cells, config.hydra.launcher, Path(config.output_dir))
         with progress.watched():
             pending = progress.pending
             size = self.max_batch_size or len(pending) or 1

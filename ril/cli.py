@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import hydra
 from hydra.core.config_store import ConfigStore
@@ -18,9 +18,12 @@ from omegaconf import DictConfig, OmegaConf
 
 from ril.command import MISTAKES, refuse, run_command
 from ril.config import from_hydra, leaves
-from ril.errors import UserError
+from ril.errors import UserError, one_line
 from ril.paths import config_folder
 from ril.schema import METHOD_CONFIGS, Config
+
+if TYPE_CHECKING:
+    from ril.loggers import Logger
 
 
 def main() -> None:
@@ -78,17 +81,35 @@ def _run(composed: DictConfig) -> None:
     from ril.display import ConsoleDisplay
     from ril.experiment import run
     from ril.interrupts import Stopped
+    from ril.loggers import LoggedDisplay
 
     console = Console(highlight=False)
     alone = HydraConfig.get().mode != RunMode.MULTIRUN
-    display = ConsoleDisplay(console, live=alone and console.is_terminal)
+    shown = ConsoleDisplay(console, live=alone and console.is_terminal)
+    logger = _logger(config)
     try:
+        display = LoggedDisplay(shown, logger) if logger is not None else shown
         run(config, display, _variant(composed))
     except Stopped as stopped:
         print(f"ril-run: {stopped}", file=sys.stderr)
         sys.exit(stopped.status)
     finally:
-        display.stop()
+        shown.stop()
+        if logger is not None:
+            logger.finish()
+
+
+def _logger(config: Config) -> Logger | None:
+    """What `logging` names, made before anything is trained."""
+    if config.logging is None:
+        return None
+    settings = dict(config.logging)
+    try:
+        logger: Logger = hydra.utils.get_class(settings.pop("_target_"))(**settings)
+    except (ImportError, KeyError, TypeError, ValueError) as error:
+        chosen = HydraConfig.get().runtime.choices["logging"]
+        raise UserError(f"logging={chosen}: cannot be used ({one_line(error)})") from None
+    return logger
 
 
 def _refuse_sweep() -> None:
@@ -98,17 +119,20 @@ def _refuse_sweep() -> None:
     sweeper = HydraConfig.get().sweeper
     sweeps = sweeper.get("sweeps") or [sweeper.get("params") or {}]
     if not any(set(sweep) <= keys for sweep in sweeps):
-        chosen = next(each for each in given if each.startswith(("experiment=", "ablation=")))
+        groups = (each for each in given if each.startswith(("experiment=", "ablation=")))
+        chosen = next(groups, "hydra.sweeper.params")
         raise UserError(f"{chosen}: is a sweep, which needs -m: ril-run -m {' '.join(given)}")
 
 
 def _variant(composed: DictConfig) -> str:
     """What was set apart from the method as it comes on its environment, as key=value."""
     runtime = HydraConfig.get().runtime
-    comes = [f"env={runtime.choices.env}", f"method={composed.method.name}"]
+    comes = [f"env={runtime.choices['env']}", f"method={composed.method.name}"]
     in_worker = not GlobalHydra.instance().is_initialized()  # of a sweep, which starts from anew
     if in_worker:
-        own = [source.path for source in runtime.config_sources if source.provider == "command-line"]
+        own = [
+            source.path for source in runtime.config_sources if source.provider == "command-line"
+        ]
         comes += [f"hydra.searchpath=[{','.join(f'file://{path}' for path in own)}]"]
     folder = str(config_folder())
     with hydra.initialize_config_dir(folder, version_base="1.3") if in_worker else nullcontext():

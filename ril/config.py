@@ -23,7 +23,7 @@ from ril.schema import (
 )
 
 #: Keys that cannot change a number; the demonstrations enter by their content.
-_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes")
+_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes", "logging")
 #: Numbers must be above 0, but for these, which lie within bounds (both included).
 _BOUNDS = {
     "epsilon": (0, 1),

@@ -102,7 +102,7 @@ class SweepProgress:
         return f"{done} of {count(len(self._cells), 'cell')} done"
 
     def lost(self, cells: Sequence[Cell], why: str) -> None:
-        """The launcher failed, so that those of some cells that have no rows are still to be run."""
+        """The launcher failed; those of some cells that have no rows are still to be run."""
         print(f"sweep: {self._done()}; {why}", flush=True)
         for cell in cells:
             cell.mistake = f"did not end: {why}; the same command goes on"
