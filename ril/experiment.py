@@ -33,6 +33,9 @@ from ril.task import Task
 from ril.training import Cell, Display, Outcome, train_and_score
 from ril.vectorized.processes import usable_processes
 
+#: What reading a file of the run raises that is not as it was left.
+_TORN = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
+
 
 def run(config: Config, display: Display, variant: str = "") -> Path:
     """Train and score one cell.
@@ -227,7 +230,7 @@ def _refuse_changed_demonstrations(folder: Path, config: Config, sha256: str) ->
                 continue
             settings = yaml.safe_load((other / "config.yaml").read_text(encoding="utf-8"))
             same_file = settings["demonstrations"] == config.demonstrations
-        except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
+        except (*_TORN, yaml.YAMLError):
             continue  # another run's trouble, which that run will name
         if same_file:
             raise UserError(
@@ -245,7 +248,7 @@ def _keep_start(folder: Path, details: dict[str, Any]) -> dict[str, Any]:
             first: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             resumed = [*first.get("resumed", [])]
             first["commit"]
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        except _TORN:
             raise UserError(
                 f"{path}: cannot be read, so where the run began is not known; "
                 f"delete {folder}, or give resume=false, to start again"

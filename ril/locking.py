@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from io import FileIO
 from pathlib import Path
 
-from ril.errors import UserError, one_line
+from ril.errors import UserError
 from ril.files import unfinished
 
 if sys.platform != "win32":
@@ -121,8 +121,8 @@ def _lock(file: FileIO) -> bool:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         file.seek(0)
-        holder = file.read(200).decode(errors="replace")
-        raise BusyError(one_line(holder) or "another process") from None
+        holder = "".join(filter(str.isprintable, file.read(200).decode(errors="replace")))
+        raise BusyError(holder or "another process") from None
     except OSError:  # a network file system without a lock service
         return False
     return True

@@ -16,7 +16,10 @@ from typing import Any
 _LIBRARIES = ("torch", "numpy", "gymnasium", "stable-baselines3", "hydra-core", "pandas")
 _PACKAGE = Path(__file__).parent
 #: Of the code, what no number of a run can depend on.
-_SHOWS_ONLY = ("report", "cli.py", "command.py", "display.py")
+_SHOWS_ONLY = (
+    *("report", "cli.py", "command.py", "display.py"),
+    *("loggers.py", "sweep.py", "sweep_progress.py"),
+)
 
 
 def commit() -> str:
