@@ -86,9 +86,17 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
             usable_processes(config.processes),
         )
         method = entry.load()(config.method, task)
+
+    def say_who(holder: str) -> None:
+        cell = f"env={config.env.name} method={name}"
+        display.noted(f"{cell}: {holder} runs it already; waiting for its rows")
+
     goes_on = f"; go on with {command()}" if config.resume else ""
     try:
-        with claimed(wanted, beside=not config.resume) as claim, stop_on_signals() as stop:
+        with (
+            claimed(wanted, beside=not config.resume, wait=say_who) as claim,
+            stop_on_signals() as stop,
+        ):
             folder = claim.folder
             if config.resume and _finished(folder, config, identifier):
                 display.finished(folder / "results.csv", skipped=True)  # meanwhile, by another
@@ -125,12 +133,6 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
             # Last: a run with rows is a finished run.
             write_csv(folder / "results.csv", _rows(config, outcome, shared))
             (folder / "checkpoint.pt").unlink(missing_ok=True)
-    except BusyError as holder:
-        display.noted(
-            f"env={config.env.name} method={name}: {holder} runs it already, so not run twice; "
-            f"its rows will be in {wanted}"
-        )
-        return wanted
     except Stopped as stopped:
         raise Stopped(f"{stopped}{goes_on}", stopped.number) from None
     except WriteError as error:
@@ -210,8 +212,10 @@ def _finished(folder: Path, config: Config, identifier: str) -> bool:
         raise UserError(f"{one_line(error)}; {anew}") from None
     if not whole or rows["seed"].tolist() != config.seeds or set(rows["run_id"]) != {identifier}:
         raise UserError(f"{path}: does not hold the rows of {identifier}, a seed each; {anew}")
-    with suppress(OSError):  # of a folder that is read-only by now
-        (folder / "checkpoint.pt").unlink(missing_ok=True)
+    if any((folder / name).exists() for name in ("checkpoint.pt", ".lock")):
+        # Of one that still ends by itself, or is read-only by now, nothing is removed.
+        with suppress(BusyError, UserError, OSError), claimed(folder):
+            (folder / "checkpoint.pt").unlink(missing_ok=True)
     return True
 
 

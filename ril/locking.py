@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from io import FileIO
@@ -19,7 +19,7 @@ if sys.platform != "win32":
 
 
 class BusyError(Exception):
-    """Another process runs the cell; the message says which."""
+    """Another process holds the folder."""
 
 
 class Claim:
@@ -49,7 +49,9 @@ class Claim:
 
 
 @contextmanager
-def claimed(folder: Path, *, beside: bool) -> Iterator[Claim]:
+def claimed(
+    folder: Path, *, beside: bool = False, wait: Callable[[str], object] | None = None
+) -> Iterator[Claim]:
     """Hold a folder until the end of the block, or of the process, however it ends.
 
     What a process that was killed had half-written is removed.
@@ -58,15 +60,16 @@ def claimed(folder: Path, *, beside: bool) -> Iterator[Claim]:
         folder: the run's; it is made if it is not there.
         beside: take a folder that was not there before: the first free one of `folder`,
             `folder-2`, `folder-3`, ….
+        wait: if another process holds it, is told which, and then that is waited for.
 
     Raises:
-        BusyError: another process holds it.
+        BusyError: another process holds it, and it is not to be waited for.
         UserError: it cannot be written.
     """
     try:
         if beside:
             folder = _new(folder)
-        file, exclusive = _locked(folder)
+        file, exclusive = _locked(folder, wait)
     except OSError as error:
         raise UserError(f"output_dir: {folder} cannot be written ({error.strerror})") from None
     try:
@@ -89,14 +92,14 @@ def _new(folder: Path) -> Path:
             folder = wanted.with_name(f"{wanted.name}-{number}")
 
 
-def _locked(folder: Path) -> tuple[FileIO, bool]:
+def _locked(folder: Path, wait: Callable[[str], object] | None) -> tuple[FileIO, bool]:
     """The folder's lock file, open, and whether it is locked by this process."""
     while True:
         folder.mkdir(parents=True, exist_ok=True)
         file = FileIO(folder / ".lock", "a+")
         try:
-            exclusive = _lock(file)
-        except BusyError:
+            exclusive = _lock(file, wait)
+        except BaseException:
             file.close()
             raise
         # Who had it may have removed it between opening and locking.
@@ -113,16 +116,19 @@ def _locked(folder: Path) -> tuple[FileIO, bool]:
     return file, exclusive
 
 
-def _lock(file: FileIO) -> bool:
+def _lock(file: FileIO, wait: Callable[[str], object] | None) -> bool:
     """Lock a file for as long as it is open; False where that cannot be done."""
     if sys.platform == "win32":
         return False
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
+        if wait is None:
+            raise BusyError from None
         file.seek(0)
         holder = "".join(filter(str.isprintable, file.read(200).decode(errors="replace")))
-        raise BusyError(holder or "another process") from None
+        wait(holder or "another process")
+        fcntl.flock(file, fcntl.LOCK_EX)
     except OSError:  # a network file system without a lock service
         return False
     return True

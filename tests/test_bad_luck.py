@@ -269,7 +269,7 @@ def test_a_folder_of_someone_elses_is_named(someone_elses: Path) -> None:
     said = f"{someone_elses}/cell cannot be written ({os.strerror(errno.EACCES)})"
     with (
         pytest.raises(UserError, match=f"^output_dir: {re.escape(said)}$"),
-        claimed(someone_elses / "cell", beside=False),
+        claimed(someone_elses / "cell"),
     ):
         pass
 

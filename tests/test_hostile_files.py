@@ -21,6 +21,7 @@ import ril
 from ril import training
 from ril.errors import UserError
 from ril.experiment import run
+from ril.locking import claimed
 from ril.methods.base import Progress
 from ril.policy import load_policy
 from ril.record import Record
@@ -150,13 +151,17 @@ def test_a_stopped_runs_configuration_that_would_run_code_does_not(
 
 
 def test_who_is_said_to_hold_a_folder_is_shown_as_text(tmp_path: Path) -> None:
-    from ril.locking import BusyError, claimed
+    class NotNowError(Exception):
+        """Ends the waiting."""
 
-    with claimed(tmp_path / "cell", beside=False):
-        (tmp_path / "cell" / ".lock").write_text("\x1b[2J\x1b]0;title\x07 [bold]me\n")
-        with pytest.raises(BusyError) as busy, claimed(tmp_path / "cell", beside=False):
+    def wait(holder: str) -> None:
+        raise NotNowError(holder)
+
+    with claimed(tmp_path):
+        (tmp_path / ".lock").write_text("\x1b[2J\x1b]0;title\x07 [bold]me\n")
+        with pytest.raises(NotNowError) as said, claimed(tmp_path, wait=wait):
             pass
-    assert str(busy.value) == "[2J]0;title [bold]me"
+    assert str(said.value) == "[2J]0;title [bold]me"
 
 
 def test_a_target_in_a_setting_is_a_value_like_any_other(exploded: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 import time
@@ -27,8 +28,8 @@ from ril.schema import Config
 # A server that has imported everything, of which each start is a fork.
 CONTEXT = multiprocessing.get_context("forkserver")
 CONTEXT.set_forkserver_preload(
-    ["pytest", "ril.display", "ril.experiment", "gymnasium.envs.classic_control"]
-    + [f"ril.methods.{name}" for name in ("bc", "dqn", "iupe", "ril")]
+    ["pytest", "torch._dynamo", "ril.display", "ril.experiment", "gymnasium.envs.classic_control"]
+    + [f"ril.methods.{name}" for name in ("bc", "dqn", "gail", "iupe", "ppo", "ril")]
 )
 
 
@@ -43,6 +44,13 @@ def run_to_the_end(config: Config) -> None:
     torch.set_num_threads(1)
     training.CHECKPOINT_SECONDS = 0.0
     run(config, ConsoleDisplay(Console(file=io.StringIO()), live=False))
+
+
+def run_and_say(config: Config, says: Path) -> None:
+    """The same, with what it says in a file."""
+    torch.set_num_threads(1)
+    with says.open("w") as file:
+        run(config, ConsoleDisplay(Console(file=file, width=300), live=False))
 
 
 def run_and_die(config: Config, number: int) -> None:
@@ -88,8 +96,8 @@ def only_run(config: Config) -> Path:
 
 
 METHODS = {
-    "bc": ("method.epochs=25",),
-    "dqn": ("method.total_timesteps=80", "evaluation.every=5%"),
+    "bc": ("method.epochs=12",),
+    "dqn": ("method.total_timesteps=40", "evaluation.every=10%"),
     "iupe": ("method.epochs=12",),
     "ril": ("method.epochs=12",),
 }
@@ -124,7 +132,7 @@ def test_a_run_killed_at_random_moments_leaves_what_an_uninterrupted_one_does(
         shutil.rmtree(killed.output_dir)
 
 
-@pytest.mark.parametrize("method", ["bc", "ril"])
+@pytest.mark.parametrize("method", ["bc", "gail", "ppo", "ril"])
 def test_a_run_killed_before_each_of_its_writes_leaves_what_an_uninterrupted_one_does(
     cell: Callable[..., Config], method: str
 ) -> None:
@@ -140,3 +148,19 @@ def test_a_run_killed_before_each_of_its_writes_leaves_what_an_uninterrupted_one
         assert process.exitcode == -signal.SIGKILL
     assert number > 5
     assert left_by(only_run(killed)) == left_by(only_run(uninterrupted))
+
+
+def test_of_two_processes_asked_for_a_cell_at_once_one_runs_it(
+    cell: Callable[..., Config], tmp_path: Path
+) -> None:
+    config, files = cell("method.epochs=30"), [tmp_path / "one", tmp_path / "two"]
+    processes = [start(run_and_say, config, file) for file in files]
+    for process in processes:
+        process.join()
+        assert process.exitcode == 0
+    first, second = sorted((file.read_text() for file in files), key=lambda text: "waiting" in text)
+    assert "scoring" in first
+    assert "waiting" not in first
+    assert re.search(r"process \d+ on .* runs it already; waiting for its rows", second)
+    assert "scoring" not in second
+    assert "finished before, so not run again" in second

@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ HOLD = """
 import sys
 from pathlib import Path
 from ril.locking import claimed
-with claimed(Path(sys.argv[1]), beside=False):
+with claimed(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
 """
@@ -50,19 +51,28 @@ def holder(folder: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-def test_a_folder_that_is_held_names_its_holder(
+def test_who_waits_for_a_folder_is_told_its_holder(
     folder: Path, holder: subprocess.Popen[str]
 ) -> None:
-    expected = rf"^process {holder.pid} on {socket.gethostname()} since \d{{4}}-\d\d-\d\d \d\d:"
-    with pytest.raises(BusyError, match=expected), claimed(folder, beside=False):
-        pass
+    said = []
+
+    def wait(who: str) -> None:
+        said.append(who)
+        holder.kill()
+
+    with claimed(folder, wait=wait) as claim:
+        assert claim.exclusive
+    [who] = said
+    assert re.fullmatch(
+        rf"process {holder.pid} on {socket.gethostname()} since [-+:\d ]{{25}}", who
+    )
 
 
 def test_a_folder_is_free_once_its_holder_is_done(
     folder: Path, holder: subprocess.Popen[str]
 ) -> None:
     holder.communicate("")
-    with claimed(folder, beside=False) as claim:
+    with claimed(folder) as claim:
         assert claim.exclusive
 
 
@@ -71,26 +81,26 @@ def test_a_folder_is_free_once_its_holder_is_killed(
 ) -> None:
     holder.send_signal(signal.SIGKILL)
     holder.wait()
-    with claimed(folder, beside=False) as claim:
+    with claimed(folder) as claim:
         assert claim.exclusive
 
 
 def test_one_who_finds_it_held_leaves_it_to_its_holder(folder: Path) -> None:
-    with claimed(folder, beside=False) as claim:
+    with claimed(folder) as claim:
         for _ in range(2):
-            with pytest.raises(BusyError), claimed(folder, beside=False):
+            with pytest.raises(BusyError), claimed(folder):
                 pass
         claim.check()
 
 
 def test_nothing_is_left_of_a_lock(folder: Path) -> None:
-    with claimed(folder, beside=False):
+    with claimed(folder):
         (folder / "results.csv").touch()
     assert [path.name for path in folder.iterdir()] == ["results.csv"]
 
 
 def test_a_folder_in_which_nothing_was_written_is_not_left(folder: Path) -> None:
-    with claimed(folder, beside=False):
+    with claimed(folder):
         pass
     assert not folder.exists()
 
@@ -99,7 +109,7 @@ def test_what_a_killed_process_had_half_written_is_removed(folder: Path) -> None
     folder.mkdir()
     (folder / ".checkpoint.pt.123.tmp").write_bytes(b"half")
     (folder / "checkpoint.pt").write_bytes(b"whole")
-    with claimed(folder, beside=False):
+    with claimed(folder):
         assert sorted(path.name for path in folder.iterdir()) == [".lock", "checkpoint.pt"]
 
 
@@ -111,7 +121,7 @@ def test_beside_others_a_folder_is_new(folder: Path) -> None:
 
 @pytest.mark.parametrize("again", [False, True])
 def test_a_folder_that_vanished_is_noticed(folder: Path, again: bool) -> None:
-    with claimed(folder, beside=False) as claim:
+    with claimed(folder) as claim:
         shutil.rmtree(folder)
         if again:
             folder.mkdir()
@@ -126,14 +136,14 @@ def test_a_lock_removed_while_it_was_waited_for_is_not_taken_for_one(
 ) -> None:
     lock, calls = locking._lock, []
 
-    def removed_first(file: Any) -> bool:
+    def removed_first(file: Any, wait: Any) -> bool:
         calls.append(file)
         if len(calls) == 1:
             (folder / ".lock").unlink()  # as its holder does at the end
-        return lock(file)
+        return lock(file, wait)
 
     monkeypatch.setattr(locking, "_lock", removed_first)
-    with claimed(folder, beside=False) as claim:
+    with claimed(folder) as claim:
         claim.check()
     assert len(calls) == 2
 
@@ -159,27 +169,31 @@ class Notes(Silence):
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.skipped: list[bool] = []
+        self.once_noted: Callable[[], object] = lambda: None
 
     def noted(self, line: str) -> None:
         self.lines.append(line)
+        self.once_noted()
 
     def finished(self, rows: Path, *, skipped: bool) -> None:
         self.skipped.append(skipped)
 
 
-def test_a_cell_that_is_being_run_is_left_to_who_runs_it(
-    quick: Any, tmp_path: Path, cartpole: Environment
+def test_a_cell_that_is_being_run_is_waited_for(
+    quick: Any, tmp_path: Path, cartpole: Environment, holder: subprocess.Popen[str]
 ) -> None:
     config, display = quick(), Notes()
     config.output_dir = str(tmp_path)
     expert = load_demonstrations(Path(config.demonstrations), cartpole)
     folder = tmp_path / "cartpole" / "ril" / run_id(config, expert.sha256)
-    with claimed(folder, beside=False):
-        assert run(config, display) == folder
+    folder.parent.mkdir(parents=True)
+    (tmp_path / "cell").rename(folder)  # the holder keeps its lock
+    display.once_noted = holder.kill
+    assert run(config, display) == folder
     [line] = display.lines
-    assert line.startswith(f"env=cartpole method=ril: process {os.getpid()} on ")
-    assert line.endswith(f" runs it already, so not run twice; its rows will be in {folder}")
-    assert display.skipped == []
+    assert line.startswith(f"env=cartpole method=ril: process {holder.pid} on ")
+    assert line.endswith(" runs it already; waiting for its rows")
+    assert display.skipped == [False]
 
 
 def test_two_tables_that_share_a_cell_share_its_run(quick: Any, tmp_path: Path) -> None:
