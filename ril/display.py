@@ -27,12 +27,10 @@ class ConsoleDisplay:
     Args:
         console: where to write.
         live: a panel that is redrawn, for terminals; otherwise a line every few seconds.
-        brief: of a finished cell that is skipped, say so in a line instead of showing its rows.
     """
 
-    def __init__(self, console: Console, *, live: bool, brief: bool = False) -> None:
+    def __init__(self, console: Console, *, live: bool) -> None:
         self._console = console
-        self._brief = brief
         self._is_live = live
         self._live: Live | None = None
         self._bar = Progress(TextColumn("{task.description}"), BarColumn(None), expand=True)
@@ -117,10 +115,6 @@ class ConsoleDisplay:
         """Show the rows, their mean beside the paper's number, and the folder."""
         frame = load_results([rows.parent])
         first = frame.iloc[0]
-        if skipped and self._brief:
-            cell = f"env={first.env} method={first.method}"
-            self.noted(f"{cell}: finished before, so not run again: {rows.parent}")
-            return
         table = Table(
             "seed",
             "AER",
