@@ -11,6 +11,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import JobStatus
 from omegaconf import DictConfig
 
+from ril.errors import UserError
+
 if TYPE_CHECKING:
     from ril.sweep import Cell
     from ril.sweep_progress import SweepProgress
@@ -58,7 +60,12 @@ class CellSweeper(basic_sweeper.BasicSweeper):
         def compose(job: list[str]) -> DictConfig:
             return loader.load_sweep_config(config, job)
 
-        cells = plan(overrides, compose, self.sweeps)
+        cells = plan(overrides, compose, config)
+        try:
+            Path(config.output_dir).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            at = f"output_dir={config.output_dir}"
+            raise UserError(f"{at}: cannot be written ({error.strerror})") from None
         progress = SweepProgress(cells, config.hydra.launcher, Path(config.output_dir))
         with progress.watched():
             pending = progress.pending

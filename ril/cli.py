@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -16,7 +17,14 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ril.command import MISTAKES, refuse, run_command
+from ril.command import (
+    MISTAKES,
+    SWEEP_GROUPS,
+    cell_command,
+    own_folders,
+    refuse,
+    run_command,
+)
 from ril.config import from_hydra, leaves
 from ril.errors import UserError, one_line
 from ril.paths import config_folder
@@ -73,7 +81,8 @@ def _run(composed: DictConfig) -> None:
 
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         # The command of the cell's rows is its own, not the sweep's or the worker's.
-        sys.argv = ["ril-run", *HydraConfig.get().overrides.task]
+        hydra_config = HydraConfig.get()
+        sys.argv = cell_command(hydra_config.overrides.task, hydra_config.runtime.config_sources)
     else:
         _refuse_sweep()
     config = from_hydra(composed)
@@ -104,11 +113,12 @@ def _logger(config: Config) -> Logger | None:
     if config.logging is None:
         return None
     settings = dict(config.logging)
+    target = str(settings.pop("_target_", ""))
     try:
-        logger: Logger = hydra.utils.get_class(settings.pop("_target_"))(**settings)
-    except (ImportError, KeyError, TypeError, ValueError) as error:
-        chosen = HydraConfig.get().runtime.choices["logging"]
-        raise UserError(f"logging={chosen}: cannot be used ({one_line(error)})") from None
+        logger: Logger = pkgutil.resolve_name(target)(**settings)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        named = HydraConfig.get().runtime.choices["logging"] or target
+        raise UserError(f"logging={named}: cannot be used ({one_line(error)})") from None
     return logger
 
 
@@ -119,7 +129,7 @@ def _refuse_sweep() -> None:
     sweeper = HydraConfig.get().sweeper
     sweeps = sweeper.get("sweeps") or [sweeper.get("params") or {}]
     if not any(set(sweep) <= keys for sweep in sweeps):
-        groups = (each for each in given if each.startswith(("experiment=", "ablation=")))
+        groups = (each for each in given if each.startswith(SWEEP_GROUPS))
         chosen = next(groups, "hydra.sweeper.params")
         raise UserError(f"{chosen}: is a sweep, which needs -m: ril-run -m {' '.join(given)}")
 
@@ -130,10 +140,8 @@ def _variant(composed: DictConfig) -> str:
     comes = [f"env={runtime.choices['env']}", f"method={composed.method.name}"]
     in_worker = not GlobalHydra.instance().is_initialized()  # of a sweep, which starts from anew
     if in_worker:
-        own = [
-            source.path for source in runtime.config_sources if source.provider == "command-line"
-        ]
-        comes += [f"hydra.searchpath=[{','.join(f'file://{path}' for path in own)}]"]
+        own = [f"file://{folder}" for folder in own_folders(runtime.config_sources)]
+        comes += [f"hydra.searchpath=[{','.join(own)}]"]
     folder = str(config_folder())
     with hydra.initialize_config_dir(folder, version_base="1.3") if in_worker else nullcontext():
         usual = hydra.compose("config", comes)

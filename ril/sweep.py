@@ -11,15 +11,12 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, open_dict
 
-from ril.command import MISTAKES, in_one_line
+from ril.command import MISTAKES, SWEEP_GROUPS, cell_command, in_one_line
 from ril.config import from_hydra, run_folder
 from ril.demonstrations.files import demonstrations_path, load_demonstrations
 from ril.environments import load_environment
 from ril.errors import UserError
 from ril.schema import Config
-
-#: Groups whose choices may be sweeps.
-SWEEPS = ("experiment=", "ablation=")
 
 
 @dataclass
@@ -28,6 +25,7 @@ class Cell:
 
     Attributes:
         overrides: that make it, without those of the sweep's other cells.
+        command: that runs it alone.
         config: of its run.
         folder: of its run, or of the first one where it is run anew.
         mistake: why it has none, or why it failed.
@@ -35,15 +33,11 @@ class Cell:
     """
 
     overrides: list[str]
+    command: str
     config: Config | None = None
     folder: Path = field(default_factory=Path)
     mistake: str | None = None
     before: int = 0
-
-    @property
-    def command(self) -> str:
-        """What runs this cell alone."""
-        return shlex.join(["ril-run", *self.overrides])
 
     @property
     def runs(self) -> list[Path]:
@@ -105,37 +99,35 @@ def _values(override: Override) -> dict[str, object]:
 
 
 def plan(
-    jobs: Sequence[list[str]],
-    compose: Callable[[list[str]], DictConfig],
-    sweeps: Sequence[Mapping[str, str]] | None,
+    jobs: Sequence[list[str]], compose: Callable[[list[str]], DictConfig], config: DictConfig
 ) -> list[Cell]:
     """The cells of a sweep, each once however often it is asked for.
 
     Args:
         jobs: overrides of each.
         compose: what Hydra makes of them.
-        sweeps: of the sweep itself.
+        config: what it makes of the sweep as a whole.
 
     Raises:
         UserError: none of them can be run.
     """
     cells: dict[object, Cell] = {}
     for overrides in jobs:
+        command = shlex.join(cell_command(overrides, config.hydra.runtime.config_sources))
         try:
             composed = compose(overrides)
-            if composed.hydra.sweeper.get("sweeps") != sweeps:
-                groups = [each for each in overrides if each.startswith(SWEEPS)]
-                raise UserError(f"{' '.join(groups)}: is a sweep of its own; give one at a time")
+            if composed.hydra.sweeper != config.hydra.sweeper:
+                groups = [each for each in overrides if each.startswith(SWEEP_GROUPS)]
+                raise UserError(f"{' '.join(groups)}: a sweep of its own; give one at a time")
             with open_dict(composed):
                 del composed["hydra"]
-            config = from_hydra(composed)
-            environment = load_environment(config.env)
-            expert = load_demonstrations(demonstrations_path(config), environment)
-            cell = Cell(overrides, config, run_folder(config, expert.sha256))
-            cell.before = 0 if config.resume else len(cell.runs)
+            run = from_hydra(composed)
+            expert = load_demonstrations(demonstrations_path(run), load_environment(run.env))
+            cell = Cell(overrides, command, run, run_folder(run, expert.sha256))
+            cell.before = 0 if run.resume else len(cell.runs)
             cells.setdefault(cell.folder, cell)
         except MISTAKES as error:
-            cells[len(cells)] = Cell(overrides, mistake=in_one_line(error))
+            cells[len(cells)] = Cell(overrides, command, mistake=in_one_line(error))
     if all(cell.mistake for cell in cells.values()):
         raise UserError("; ".join(dict.fromkeys(str(cell.mistake) for cell in cells.values())))
     return list(cells.values())

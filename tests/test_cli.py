@@ -86,74 +86,6 @@ def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
     assert not (folder / "outputs").exists()
 
 
-MISTAKES = {
-    "env=nope": "env=nope: unknown, choose one of acrobot, cartpole",
-    "method=nope": "method=nope: unknown, choose one of acktr, bc, dqn, dqn_prioritized, expert, "
-    "gail, ilpo, iupe, ppo, random, ril, ril_sequential",
-    "experiment=nope": "experiment=nope: unknown, choose one of quick",
-    "compile=fast": "compile=fast: must be auto, true or false",
-    "compile=1": "compile=1: must be auto, true or false",
-    "ablation=nope": "ablation=nope: unknown",
-    "fidelity=nope": "fidelity=nope: unknown",
-    "nope=1": "nope: no such key",
-    "seed=3": "seed: no such key; is it seeds?",
-    "ablation.nope=1": "ablation.nope: no such key of ablation",
-    "method.cloning.lerning_rate=1": "method.cloning.lerning_rate: no such key of method.cloning; "
-    "is it learning_rate?",
-    "+nope=1": "nope: no such key",
-    "+method.nope=1": "method.nope: no such key",
-    "+env.goal.nope=1": "env.goal.nope: no such key",
-    "ablation.k=0": "ablation.k=0",
-    "ablation.k=-1": "ablation.k=-1",
-    "ablation.k=nan": "ablation.k=nan",
-    "ablation.k=steep": "ablation.k: ",
-    "ablation.n=0": "ablation.n=0",
-    "ablation.trajectories=0": "ablation.trajectories=0",
-    "ablation.trajectories=101": "ablation.trajectories=101: must be within 1..100",
-    "ablation.expert_return=-3": "ablation.expert_return=-3",
-    "seeds=[]": "seeds=[]",
-    "seeds=0": "seeds=0",
-    "seeds=[1,1]": "seeds=[1, 1]",
-    "seeds=[-1]": "seeds=[-1]",
-    "seeds=abc": "seeds=abc",
-    "seeds=[1": "seeds=[1: cannot be read as key=value",
-    "method.epochs=0": "method.epochs=0",
-    "method.epochs=1.5": "method.epochs: ",
-    "method.network.hidden=3": "method.network.hidden: ",
-    "method.q_learning.discount=2": "method.q_learning.discount=2.0: must be within 0..1",
-    "method.exploration.kind=foo": "method.exploration.kind=foo: must be one of softmax, uniform",
-    "method.name=foo": "method.name=foo: must be ril",
-    "method.name=bc": "method.name=bc: must be ril",
-    "method=null": "Config group override",
-    "env.name=../up": "env.name=../up: must name a folder below output_dir",
-    "+env.kwargs.gravity=1": "env.id=MountainCar-v0: ",
-    "device=nonsense": "device=nonsense",
-    "device=meta": "device=meta",
-    "env=gym": "env.id: must be given",
-    "demonstrations=none.npz": "demonstrations=none.npz: no such file",
-    "env.id=Nope-v0": "env.id=Nope-v0",
-    "env.kwargs.nope=1": "env.kwargs.nope: not there yet; give it as +env.kwargs.nope=",
-    "+env.kwargs.nope=1": "env.id=MountainCar-v0: ",
-    "env.observation_low=[0]": "env.observation_low",
-    "env.goal.minimum_return=many": "env.goal.minimum_return: ",
-    "resume=maybe": "resume: ",
-    "nope": "nope: cannot be read as key=value",
-}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "names"),
-    [
-        (("method.imitation=false", "method.reinforcement=false"), "nothing would learn"),
-        (("env.goal.terminated=null",), "env.goal: "),
-    ],
-)
-def test_a_run_that_makes_no_sense_is_refused(
-    here: Callable[..., Ended], tmp_path: Path, arguments: tuple[str, ...], names: str
-) -> None:
-    assert_one_line(here(*arguments), names, tmp_path)
-
-
 def test_help_names_every_choice(here: Callable[..., Ended]) -> None:
     choices = here("--help").output.partition("Keys and their values")[0]
     for group in ("env", "method", "experiment", "fidelity"):
@@ -172,46 +104,6 @@ def test_a_reader_who_stops_reading_is_no_mistake(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
-@pytest.mark.parametrize("argument", MISTAKES)
-def test_a_mistake_is_one_line_that_names_it(
-    here: Callable[..., Ended], tmp_path: Path, argument: str
-) -> None:
-    key = argument.partition("=")[0]
-    others = [usual for usual in QUICK if usual.partition("=")[0] != key]
-    assert_one_line(here(*others, argument), MISTAKES[argument], tmp_path)
-
-
-@pytest.fixture(params=["missing", "torn", "of another environment", "with NaN"])
-def faulty(
-    request: pytest.FixtureRequest, tmp_path: Path, demonstration_files: dict[str, Path]
-) -> Path:
-    """Demonstrations for MountainCar that cannot be used."""
-    path, good = tmp_path / "faulty.npz", demonstration_files["mountaincar"]
-    if request.param == "torn":
-        path.write_bytes(good.read_bytes()[:-100])
-    elif request.param == "of another environment":
-        path = demonstration_files["cartpole"]
-    elif request.param == "with NaN":
-        with np.load(good) as archive:
-            arrays = dict(archive)
-        arrays["observations"][7] = np.nan
-        np.savez(path, **arrays)
-    return path
-
-
-def test_faulty_demonstrations_are_one_line_that_names_them(
-    here: Callable[..., Ended], tmp_path: Path, faulty: Path
-) -> None:
-    assert_one_line(here(f"demonstrations={faulty}"), f"demonstrations={faulty}: ", tmp_path)
-
-
-def test_a_folder_that_cannot_be_written_is_one_line_that_names_it(
-    here: Callable[..., Ended], tmp_path: Path
-) -> None:
-    (tmp_path / "file").touch()
-    assert_one_line(here("output_dir=file/below"), "output_dir: file/below/", tmp_path)
-
-
 @pytest.mark.parametrize(
     "argument",
     ["env=nope", "method.nope=1", "ablation.k=0", "seeds=[]", "device=nonsense", "output_dir=f/x"],
@@ -220,19 +112,6 @@ def test_a_mistake_is_one_line_of_the_installed_command_too(tmp_path: Path, argu
     (tmp_path / "f").touch()
     ended = shell(tmp_path, "ril-run", argument)
     assert_one_line(ended, argument.partition("=")[0], tmp_path)
-
-
-def test_a_torn_checkpoint_is_one_line_that_names_it(
-    here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
-) -> None:
-    results = here(*quick_command).output.split()[-1]
-    folder = tmp_path / results
-    (folder / "results.csv").unlink()
-    (folder / "checkpoint.pt").write_bytes(b"torn")
-    ended = here(*quick_command)
-    assert ended.status == 1
-    assert ended.errors.startswith(f"ril-run: {results}/checkpoint.pt: cannot be read")
-    assert ended.errors.count("\n") == 1
 
 
 @pytest.fixture(scope="session")
