@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import CARTPOLE, QUICK
-from hydra.core.global_hydra import GlobalHydra
+from conftest import CARTPOLE, QUICK, Ended
 
-from ril.cli import main
 from ril.environments import Environment
 from ril.evaluation import Evaluation
 from ril.paths import config_folder
@@ -27,15 +25,6 @@ from ril.policy import load_policy
 from ril.results import Row, load_results
 
 SCRIPTS = Path(sys.executable).parent
-
-
-@dataclass(frozen=True)
-class Ended:
-    """How a command ended, and what it wrote."""
-
-    status: int
-    output: str
-    errors: str
 
 
 def shell(folder: Path, *command: str) -> Ended:
@@ -49,30 +38,6 @@ def shell(folder: Path, *command: str) -> Ended:
         check=False,
     )
     return Ended(done.returncode, done.stdout, done.stderr)
-
-
-@pytest.fixture
-def here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> Callable[..., Ended]:
-    """`ril-run` in this process, which is as real and faster."""
-
-    def ran(*arguments: str) -> Ended:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["ril-run", *arguments])
-        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set by the command, and put back after
-        GlobalHydra.instance().clear()
-        try:
-            main()
-            status: Any = 0
-        except SystemExit as end:
-            status = end.code
-        captured = capfd.readouterr()
-        if isinstance(status, str):  # the interpreter prints it on stderr, and ends with 1
-            return Ended(1, captured.out, f"{captured.err}{status}\n")
-        return Ended(status, captured.out, captured.err)
-
-    return ran
 
 
 def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
@@ -326,8 +291,8 @@ def test_interrupting_a_run_is_one_line(tmp_path: Path, command: tuple[str, ...]
     finally:
         process.kill()
         process.wait()
-    assert process.returncode == 1
-    said = r"ril-run: stopped after epoch \d+; the same command goes on from there\n"
+    assert process.returncode == 128 + signal.SIGINT
+    said = rf"ril-run: stopped after epoch \d+; go on with ril-run {' '.join(command)}\n"
     assert re.fullmatch(said, errors)
     assert list(tmp_path.rglob("checkpoint.pt"))
     assert not list(tmp_path.rglob("results.csv"))
