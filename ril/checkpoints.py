@@ -50,7 +50,7 @@ def load_checkpoint(path: Path, origin: dict[str, str]) -> dict[str, Any]:
     try:
         data = path.read_bytes()
         if not data.startswith(_HEAD):
-            known = data.startswith(_HEAD[: _HEAD.rindex(b" ")])
+            known = data.startswith((_HEAD[: _HEAD.rindex(b" ")], b"PK"))  # at first, torch's own
             raise ValueError("of another version of ril" if known else "not a checkpoint of ril")
         content = memoryview(data)[len(_HEAD) + _DIGEST :]
         if hashlib.sha256(content).digest() != data[len(_HEAD) : len(_HEAD) + _DIGEST]:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 import yaml
 
-from ril.config import idle_ablations, run_id
+from ril.config import idle_ablations, run_folder, run_id
 from ril.demonstrations.files import check_level, demonstrations_path, load_demonstrations
 from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment, load_environment
@@ -64,8 +64,8 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     demonstrations = load_demonstrations(path, environment)
     check_level(config, demonstrations)
     given = demonstrations.first(config.ablation.trajectories)
-    identifier = run_id(config, demonstrations.sha256)
-    wanted = Path(config.output_dir) / config.env.name / name / identifier
+    wanted = run_folder(config, demonstrations.sha256)
+    identifier = wanted.name
     if config.resume:
         if _finished(wanted, config, identifier):
             display.finished(wanted / "results.csv", skipped=True)
@@ -98,6 +98,7 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
             stop_on_signals() as stop,
         ):
             folder = claim.folder
+            stop.at_once = method is None
             if config.resume and _finished(folder, config, identifier):
                 display.finished(folder / "results.csv", skipped=True)  # meanwhile, by another
                 return folder

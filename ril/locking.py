@@ -43,8 +43,8 @@ class Claim:
         """
         if not _is_at(self._file, self.folder / ".lock"):
             raise UserError(
-                f"{self.folder}: was removed or replaced while the run went on, "
-                "so what is left cannot be written; the same command starts anew"
+                f"{self.folder}: was removed or replaced while the run went on, so no more is "
+                "written; the same command goes on with what is left"
             )
 
 

@@ -30,7 +30,7 @@ MOUNTAINCAR, CARTPOLE = "env=mountaincar", "env=cartpole"
 CELLS = {
     "bc": (MOUNTAINCAR, "method.epochs=60"),
     "iupe": (MOUNTAINCAR, "method.epochs=12"),
-    "ril": (MOUNTAINCAR, "method.epochs=25"),
+    "ril": (MOUNTAINCAR, "method.epochs=15"),
     "dqn": (CARTPOLE, "method.total_timesteps=10_000"),
     "dqn_prioritized": (CARTPOLE, "method.total_timesteps=10_000"),
     "acktr": (CARTPOLE, "method.total_timesteps=50_000"),
@@ -85,6 +85,7 @@ def check(method: str, kills: int, work: Path) -> tuple[str, bool]:
             process.kill()
             process.wait()
             stages[stage(killed)] += 1
+            print(f"{method}: kill {stages.total()} of {kills}", file=sys.stderr)
             continue
         if status:
             sys.exit((killed / "log").read_text())

@@ -65,6 +65,11 @@ def test_one_in_a_later_layout_is_refused(path: Path) -> None:
     assert "of another version of ril" in refusal(path)
 
 
+def test_one_of_a_time_before_layouts_were_numbered_is_refused(path: Path) -> None:
+    torch.save({"method": {}, "record": {}, "seconds": 0.0}, path)
+    assert "of another version of ril" in refusal(path)
+
+
 @pytest.mark.parametrize("key", ORIGIN)
 def test_one_of_another_run_or_code_names_what_differs(path: Path, key: str) -> None:
     said = refusal(path, ORIGIN | {key: "other"})

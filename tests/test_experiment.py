@@ -369,6 +369,23 @@ def test_a_signal_stops_after_the_epoch_and_nothing_is_lost(
     assert epochs.seen == [3, 4, 5, 6]
 
 
+class SignalWhileScoring(Silence):
+    """Sends this process a signal once training is over."""
+
+    def scoring(self) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_while_scoring_stops_at_once_and_training_is_kept(
+    quick_run: QuickRun, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt, match="stopped at once; go on with "):
+        quick_run(*LONGER, folder=tmp_path, display=SignalWhileScoring())
+    epochs = Epochs()
+    assert same(quick_run(*LONGER, folder=tmp_path, display=epochs), quick_run(*LONGER))
+    assert epochs.seen == []
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
 def test_a_torn_checkpoint_is_one_clear_mistake(
     quick_run: QuickRun, interrupted: Path, tmp_path: Path, share: float
@@ -496,6 +513,21 @@ def test_a_reference_leaves_rows_and_where_they_come_from(
     for row in rows(folder):
         counts = ("epochs", "env_samples", "expert_samples", "pre_samples", "samples_to_best")
         assert [row[name] for name in counts] == [0] * 5
+
+
+class SignalAtStart(Silence):
+    """Sends this process a signal before anything is done."""
+
+    def started(self, config: Config, folder: Path, epochs: int) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_ends_a_reference_at_once(compose: Any, tmp_path: Path) -> None:
+    config = compose("method=random", "seeds=1")
+    config.output_dir = str(tmp_path)
+    with pytest.raises(KeyboardInterrupt, match="stopped at once; go on with "):
+        run(config, SignalAtStart())
+    assert not list(tmp_path.rglob("results.csv"))
 
 
 @pytest.mark.parametrize(("method", "used"), [("ril", True), ("bc", False), ("iupe", False)])
