@@ -296,3 +296,29 @@ def test_interrupting_a_run_is_one_line(tmp_path: Path, command: tuple[str, ...]
     assert re.fullmatch(said, errors)
     assert list(tmp_path.rglob("checkpoint.pt"))
     assert not list(tmp_path.rglob("results.csv"))
+
+
+def test_completion_knows_groups_and_keys(
+    here: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for line, expected in (
+        ("ril-run env=", "env=mountaincar"),
+        ("ril-run experiment=", "experiment=table9"),
+        ("ril-run method=dqn ablation.", "ablation.k="),
+    ):
+        monkeypatch.setenv("COMP_LINE", line)
+        monkeypatch.setenv("COMP_POINT", str(len(line)))
+        assert expected in here("-sc", "query=bash").output.split()
+
+
+def test_completion_can_be_installed(here: Callable[..., Ended]) -> None:
+    assert "hydra_bash_completion ril-run" in here("-sc", "install=bash").output
+
+
+def test_help_and_completion_load_nothing_heavy() -> None:
+    heavy = "{'torch', 'gymnasium', 'pandas', 'joblib', 'numpy'}"
+    code = (
+        f"import sys, ril.cli, hydra_plugins.ril_sweeper; sys.exit(str({heavy} & {{*sys.modules}}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
+    assert done.stderr == "set()\n"
