@@ -130,8 +130,11 @@ def _train(cell: Cell, record: Record, evaluation: Evaluation, display: Display)
             returns = evaluation.returns(method.policy, settings.selection_episodes, purpose)
             aer, may_win = returns.mean(axis=1), progress.can_be_best
             record.evaluated(aer, looked_at, metrics, may_be_best=may_win)
-        if stop.number is None:  # of a terminal that has closed, nothing is to be shown
+        try:
             display.advanced(progress, record)
+        except OSError:
+            if stop.number is None:
+                raise  # else the terminal has closed, and has said so by SIGHUP
         if checkpoints.due() or stop.number is not None:
             checkpoints.save()
         if stop.number is not None:

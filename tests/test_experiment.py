@@ -386,6 +386,23 @@ def test_a_signal_while_scoring_stops_at_once_and_training_is_kept(
     assert epochs.seen == []
 
 
+class ClosedTerminal(Silence):
+    """Fails as a terminal that is closed after the first epoch, and sends SIGHUP as it does."""
+
+    def advanced(self, progress: Progress, record: Record) -> None:
+        if progress.epoch == 2:
+            signal.raise_signal(signal.SIGHUP)
+            raise OSError("Input/output error")
+
+
+def test_a_closed_terminal_does_not_cost_the_epoch(quick_run: QuickRun, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt, match="stopped after epoch 2; go on with "):
+        quick_run(*LONGER, folder=tmp_path, display=ClosedTerminal())
+    epochs = Epochs()
+    quick_run(*LONGER, folder=tmp_path, display=epochs)
+    assert epochs.seen == [3, 4, 5, 6]
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
 def test_a_torn_checkpoint_is_one_clear_mistake(
     quick_run: QuickRun, interrupted: Path, tmp_path: Path, share: float

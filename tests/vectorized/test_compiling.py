@@ -15,9 +15,7 @@ def test_a_function_that_torch_cannot_compile_is_a_mistake_in_one_line(
 ) -> None:
     def broken(*_: Any, **__: Any) -> Any:
         def fails(*_: Any) -> None:
-            raise TorchDynamoException(
-                "OSError: No space left on device\n\nSet …"
-            )
+            raise TorchDynamoException("OSError: No space left on device\n\nSet …")
 
         return fails
 
