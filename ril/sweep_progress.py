@@ -22,6 +22,7 @@ from ril.schema import Config
 from ril.sweep import Cell
 
 _WATCH_SECONDS = 1.0
+_NO_REASON = "left no rows, and its launcher did not say why; the same command goes on"
 
 
 class SweepProgress:
@@ -121,10 +122,10 @@ class SweepProgress:
                 print(f"  {cell.command}\n    AER {mean_and_std(aer)}  {newest.parent}", flush=True)
         missing = [cell for cell in self._cells if not cell.is_done]
         for cell in missing:
-            why = cell.mistake or "left no rows; another process may be running it"
-            print(f"ril-run: failed: {cell.command}\n  {why}", file=sys.stderr, flush=True)
+            what, why = ("failed", cell.mistake) if cell.mistake else ("not done", _NO_REASON)
+            print(f"ril-run: {what}: {cell.command}\n  {why}", file=sys.stderr, flush=True)
         if missing:
-            sys.exit(f"ril-run: {count(len(missing), 'cell')} of {len(self._cells)} failed")
+            sys.exit(f"ril-run: {len(missing)} of {count(len(self._cells), 'cell')} without rows")
 
 
 def _expected_seconds(cells: Sequence[Cell], output_dir: Path) -> np.ndarray:

@@ -140,7 +140,7 @@ def test_a_failed_cell_is_reported_with_its_command(mixed: Ended, tmp_path: Path
     assert mixed.status == 1
     command = "ril-run env=cartpole method=random evaluation.episodes=2 demonstrations=none.npz"
     [*_, last] = mixed.errors.splitlines()
-    assert last == "ril-run: 2 cells of 4 failed"
+    assert last == "ril-run: 2 of 4 cells without rows"
     said = [line for line in mixed.errors.splitlines() if line.startswith("ril-run: failed: ")]
     assert len(said) == 2
     assert all("demonstrations=none.npz" in line for line in said), command
@@ -304,4 +304,16 @@ def test_a_launcher_that_fails_is_reported(
     assert capsys.readouterr().err == (
         "ril-run: failed: ril-run seeds=2\n"
         "  did not end: no such partition; the same command goes on\n"
+    )
+
+
+def test_a_cell_that_was_launched_in_vain_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    progress = SweepProgress(cells(tmp_path, 1), OmegaConf.create(), tmp_path)
+    with pytest.raises(SystemExit, match=r"^ril-run: 1 of 1 cell without rows$"):
+        progress.report()
+    assert capsys.readouterr().err == (
+        "ril-run: not done: ril-run seeds=1\n"
+        "  left no rows, and its launcher did not say why; the same command goes on\n"
     )
