@@ -67,7 +67,7 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     wanted = run_folder(config, demonstrations.sha256)
     identifier = wanted.name
     if config.resume:
-        if _finished(wanted, config, identifier):
+        if has_rows(wanted, config, identifier):
             display.finished(wanted / "results.csv", skipped=True)
             return wanted
         _refuse_changed_demonstrations(wanted, config, demonstrations.sha256)
@@ -99,7 +99,7 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
         ):
             folder = claim.folder
             stop.at_once = method is None
-            if config.resume and _finished(folder, config, identifier):
+            if config.resume and has_rows(folder, config, identifier):
                 display.finished(folder / "results.csv", skipped=True)  # meanwhile, by another
                 return folder
             if not claim.exclusive:
@@ -196,8 +196,13 @@ def _device(name: str) -> torch.device:
     return device
 
 
-def _finished(folder: Path, config: Config, identifier: str) -> bool:
+def has_rows(folder: Path, config: Config, identifier: str) -> bool:
     """Whether a run left its rows; what it had no time to remove is removed.
+
+    Args:
+        folder: of the run.
+        config: of the run.
+        identifier: its run_id.
 
     Raises:
         UserError: they are not the rows that it wrote.

@@ -16,6 +16,7 @@ from ril.config import from_hydra, run_folder
 from ril.demonstrations.files import demonstrations_path, load_demonstrations
 from ril.environments import load_environment
 from ril.errors import UserError
+from ril.experiment import has_rows
 from ril.schema import Config
 
 
@@ -124,7 +125,10 @@ def plan(
             run = from_hydra(composed)
             expert = load_demonstrations(demonstrations_path(run), load_environment(run.env))
             cell = Cell(overrides, command, run, run_folder(run, expert.sha256))
-            cell.before = 0 if run.resume else len(cell.runs)
+            if run.resume:
+                has_rows(cell.folder, run, cell.folder.name)  # or refuses what lies there
+            else:
+                cell.before = len(cell.runs)
             cells.setdefault(cell.folder, cell)
         except MISTAKES as error:
             cells[len(cells)] = Cell(overrides, command, mistake=in_one_line(error))

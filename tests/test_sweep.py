@@ -317,3 +317,14 @@ def test_a_cell_that_was_launched_in_vain_is_reported(
         "ril-run: not done: ril-run seeds=1\n"
         "  left no rows, and its launcher did not say why; the same command goes on\n"
     )
+
+
+def test_torn_rows_are_not_taken_for_a_finished_cell(here: Here, tmp_path: Path) -> None:
+    command = (*BASIC, *RANDOM, "ablation.expert_return=null,400")
+    assert here(*command).status == 0
+    torn, _ = sorted(tmp_path.rglob("results.csv"))
+    torn.write_text(torn.read_text()[:-5])
+    ended = here(*command)
+    assert ended.status == 1
+    assert ended.output.startswith("sweep: 2 cells, 1 done before, 1 cannot be run\n")
+    assert f"{torn.relative_to(tmp_path)}: does not hold the rows of" in ended.errors
