@@ -497,7 +497,7 @@ def test_run_id_is_as_if_there_were_no_compilation_where_none_is_asked_for(compo
     config = compose("method=dqn", "compile=auto")
     found = run_id(config, "0")
     content = dataclasses.asdict(config) | {"demonstrations": "0"}
-    for key in ("output_dir", "resume", "compile", "processes"):
+    for key in ("output_dir", "resume", "compile", "processes", "logging"):
         del content[key]
     content["ablation"] = {"expert_return": None}
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
