@@ -37,8 +37,8 @@ def usable_processes(wanted: int | None) -> int:
 class Spread(Generic[T]):
     """Objects that live in worker processes, each always in the same one.
 
-    Ctrl-C, SIGTERM and SIGHUP are left to the process that made them; the workers end with that, or with
-    this object. What goes to them and comes back is copied.
+    Ctrl-C, SIGTERM and SIGHUP are left to the process that made them; the workers end with that,
+    or with this object. What goes to them and comes back is copied.
 
     Args:
         builders: make the objects, there where they are to live.
