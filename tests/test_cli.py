@@ -53,7 +53,7 @@ def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
 
 def test_help_names_every_choice(here: Callable[..., Ended]) -> None:
     choices = here("--help").output.partition("Keys and their values")[0]
-    for group in ("env", "method", "experiment", "fidelity"):
+    for group in ("env", "method", "experiment", "ablation", "logging", "fidelity"):
         [entry] = re.findall(rf"^ *{group}= .*(?:\n {{8,}}.*)*", choices, re.MULTILINE)
         for file in (config_folder() / group).glob("*.yaml"):
             assert re.search(rf"\b{file.stem}\b", entry), file.stem
