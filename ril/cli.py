@@ -11,10 +11,19 @@ import hydra
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ril.command import MISTAKES, refuse, run_command
+from ril.command import (
+    MISTAKES,
+    SWEEP_GROUPS,
+    cell_command,
+    own_folders,
+    refuse,
+    run_command,
+)
 from ril.config import from_hydra, leaves
 from ril.errors import UserError
 from ril.paths import config_folder
@@ -24,6 +33,8 @@ from ril.schema import METHOD_CONFIGS, Config
 def main() -> None:
     """The console command; a mistake of the user's is one line on stderr and exit status 1."""
     store_schemas()
+    if {"-m", "--multirun"} & set(sys.argv):
+        sys.argv[1:] = map(_for_each_cell, sys.argv[1:])
     run_command("config", _job, stopped="ril-run: stopped")
 
 
@@ -33,6 +44,22 @@ def store_schemas() -> None:
     store.store(name="schema", node=Config)
     for name, schema in METHOD_CONFIGS.items():
         store.store(group="schema/method", name=name, node=schema)
+
+
+def _for_each_cell(argument: str) -> str:
+    """A key of the method as a sweep of one value.
+
+    Hydra composes a sweep before its cells, with the default method, and refuses other methods'
+    keys; sweeps it leaves to the cells.
+    """
+    key, _, value = argument.partition("=")
+    if not key.removeprefix("+").startswith("method.") or not value:
+        return argument
+    try:
+        swept = OverridesParser.create().parse_override(argument).is_sweep_override()
+    except HydraException:  # which Hydra will say in its turn
+        return argument
+    return argument if swept else f"{key}=choice({value})"
 
 
 def _job(composed: DictConfig) -> None:
@@ -48,31 +75,58 @@ def _job(composed: DictConfig) -> None:
 def _run(composed: DictConfig) -> None:
     from rich.console import Console
 
-    for key in sorted(OmegaConf.missing_keys(composed)):
-        raise UserError(f"{key}: must be given")
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        # The command of the cell's rows is its own, not the sweep's or the worker's.
+        hydra_config = HydraConfig.get()
+        sys.argv = cell_command(hydra_config.overrides.task, hydra_config.runtime.config_sources)
+    else:
+        _refuse_sweep()
     config = from_hydra(composed)
 
     from ril.display import ConsoleDisplay
     from ril.experiment import run
+    from ril.interrupts import Stopped
+    from ril.loggers import LoggedDisplay, make_logger
 
     console = Console(highlight=False)
     alone = HydraConfig.get().mode != RunMode.MULTIRUN
-    display = ConsoleDisplay(console, live=alone and console.is_terminal)
+    shown = ConsoleDisplay(console, live=alone and console.is_terminal)
+    logger = make_logger(config.logging, HydraConfig.get().runtime.choices["logging"])
     try:
+        display = LoggedDisplay(shown, logger) if logger is not None else shown
         run(config, display, _variant(composed))
-    except KeyboardInterrupt as stopped:
-        sys.exit(f"ril-run: {str(stopped) or 'stopped'}")
+    except Stopped as stopped:
+        print(f"ril-run: {stopped}", file=sys.stderr)
+        sys.exit(stopped.status)
     finally:
-        display.stop()
+        shown.stop()
+        if logger is not None:
+            logger.finish()
+
+
+def _refuse_sweep() -> None:
+    """Say that a sweep needs `-m`, unless the command line picks one of its cells."""
+    given = HydraConfig.get().overrides.task
+    keys = {override.partition("=")[0] for override in given}
+    sweeper = HydraConfig.get().sweeper
+    sweeps = sweeper.get("sweeps") or [sweeper.get("params") or {}]
+    if not any(set(sweep) <= keys for sweep in sweeps):
+        groups = (each for each in given if each.startswith(SWEEP_GROUPS))
+        chosen = next(groups, "hydra.sweeper.params")
+        raise UserError(f"{chosen}: is a sweep, which needs -m: ril-run -m {' '.join(given)}")
 
 
 def _variant(composed: DictConfig) -> str:
     """What was set apart from the method as it comes on its environment, as key=value."""
-    chosen = HydraConfig.get().runtime.choices
+    runtime = HydraConfig.get().runtime
+    comes = [f"env={runtime.choices['env']}", f"method={composed.method.name}"]
     in_worker = not GlobalHydra.instance().is_initialized()  # of a sweep, which starts from anew
+    if in_worker:
+        own = [f"file://{folder}" for folder in own_folders(runtime.config_sources)]
+        comes += [f"hydra.searchpath=[{','.join(own)}]"]
     folder = str(config_folder())
     with hydra.initialize_config_dir(folder, version_base="1.3") if in_worker else nullcontext():
-        usual = hydra.compose("config", [f"{group}={chosen[group]}" for group in ("env", "method")])
+        usual = hydra.compose("config", comes)
     before, given = _values(usual), _values(composed)
     if given["demonstrations"] is not None:
         given["demonstrations"] = Path(given["demonstrations"]).name

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import hydra
+import yaml
+from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
@@ -18,7 +21,10 @@ from ril.errors import UserError, one_line
 from ril.paths import config_folder
 from ril.schema import METHOD_CONFIGS
 
-MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError)
+MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError, yaml.YAMLError)
+#: Groups whose choices may be sweeps.
+SWEEP_GROUPS = ("experiment=", "ablation=")
+_LAUNCHERS = {"ray": "ray", "submitit": "slurm"}  # by the extra that they come with
 _TRACEBACK_WANTED = "HYDRA_FULL_ERROR" in os.environ
 
 
@@ -31,6 +37,9 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
         stopped: what to say if it is interrupted before it can say so itself.
     """
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra's own errors then reach the handlers below
+    parser = get_args_parser()
+    parser.error = _refuse_flags  # type: ignore[method-assign]
+    parser.parse_args()  # first, for Hydra says its usage besides what is wrong
     folder = str(config_folder())
     try:
         hydra.main(version_base="1.3", config_path=folder, config_name=config_name)(job)()
@@ -48,6 +57,10 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
         sys.exit(stopped)
 
 
+def _refuse_flags(message: str) -> NoReturn:
+    sys.exit(f"{Path(sys.argv[0]).stem}: {message}")
+
+
 def refuse(error: Exception) -> NoReturn:
     """End the command with what was wrong in one line, and exit status 1."""
     if _TRACEBACK_WANTED:
@@ -55,14 +68,34 @@ def refuse(error: Exception) -> NoReturn:
     sys.exit(f"{Path(sys.argv[0]).stem}: {in_one_line(error)}")
 
 
+def own_folders(sources: Iterable[Any]) -> list[str]:
+    """The user's folders among those that Hydra composed a configuration from: --config-dir."""
+    return [source.path for source in sources if source.provider == "command-line"]
+
+
+def cell_command(overrides: Sequence[str], sources: Iterable[Any]) -> list[str]:
+    """What runs one cell of a sweep alone."""
+    flags = [f"--config-dir={folder}" for folder in own_folders(sources)]
+    return ["ril-run", *flags, *overrides]
+
+
 def in_one_line(error: Exception) -> str:
     """What was wrong, in the user's terms."""
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, choice = error.missing_cfg_file.rpartition("/")
+        if not group:
+            return f"--config-name {choice}: no such file"
         allowed = ", ".join(error.options or ())
-        return f"{group}={choice}: unknown, choose one of {allowed}"
+        extra = _LAUNCHERS.get(choice.partition("_")[0]) if group == "hydra/launcher" else None
+        more = f"; it comes with pip install 'ril[{extra}]'" if extra else ""
+        return f"{group}={choice}: unknown, choose one of {allowed}{more}"
     if isinstance(error, OverrideParseException):
         return f"{error.override}: cannot be read as key=value"
+    if several := re.match(r"(?:Ambiguous value for argument|Sweep parameters) '(.*)'", str(error)):
+        return f"{several[1]}: several values are a sweep, which needs -m"
+    if isinstance(error, ValueError) and "Config group override" in str(error):
+        groups = [each for each in sys.argv[1:] if re.fullmatch(r"\w+=(null|\[\])", each)]
+        return f"{' '.join(groups)}: must be one of the group's choices"
     fault = error.__cause__ or error
     if isinstance(fault, ConfigKeyError | ConfigAttributeError) and fault.full_key:
         parent, _, key = fault.full_key.rpartition(".")

@@ -23,7 +23,7 @@ from ril.schema import (
 )
 
 #: Keys that cannot change a number; the demonstrations enter by their content.
-_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes")
+_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes", "logging")
 #: Numbers must be above 0, but for these, which lie within bounds (both included).
 _BOUNDS = {
     "epsilon": (0, 1),
@@ -61,8 +61,10 @@ def from_hydra(composed: DictConfig) -> Config:
     """The composed configuration as checked dataclasses.
 
     Raises:
-        UserError: a value lies outside what it may be.
+        UserError: a value is missing, or lies outside what it may be.
     """
+    for key in sorted(OmegaConf.missing_keys(composed)):
+        raise UserError(f"{key}: must be given")
     config = cast(Config, OmegaConf.to_object(composed))
     config.seeds = _seeds(config.seeds)
     if ".." in Path(config.env.name).parts or Path(config.env.name).is_absolute():
@@ -170,3 +172,9 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
         del content["ablation"][key]
     canonical = json.dumps(content, sort_keys=True)
     return hashlib.sha256(canonical.encode()).hexdigest()[:10]
+
+
+def run_folder(config: Config, demonstrations_sha256: str) -> Path:
+    """Where a cell's run is kept: `<output_dir>/<env>/<method>/<run_id>`."""
+    identifier = run_id(config, demonstrations_sha256)
+    return Path(config.output_dir) / config.env.name / config.method.name / identifier

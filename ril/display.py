@@ -48,9 +48,9 @@ class ConsoleDisplay:
         self._started = self._printed = time.monotonic()
         cell = f"env={config.env.name} method={config.method.name}"
         going_on = ", going on from its checkpoint" if (folder / "checkpoint.pt").exists() else ""
-        seeds = _count(len(config.seeds), "seed") + (" together" if len(config.seeds) > 1 else "")
+        seeds = count(len(config.seeds), "seed") + (" together" if len(config.seeds) > 1 else "")
         self._console.print(
-            f"{cell}: {seeds}, {_count(epochs, 'epoch') if epochs else 'nothing to learn'}"
+            f"{cell}: {seeds}, {count(epochs, 'epoch') if epochs else 'nothing to learn'}"
             f"{going_on}",
             soft_wrap=True,
         )
@@ -72,7 +72,7 @@ class ConsoleDisplay:
         since, before = self._first_look
         if now > since and (taken := int(progress.env_samples.sum()) - before):
             facts["steps/s"] = f"{taken / (now - since):,.0f} (all seeds)"
-        facts["time left"] = _duration(left)
+        facts["time left"] = duration(left)
         if self._live is not None:
             self._bar.update(
                 self._task,
@@ -100,6 +100,10 @@ class ConsoleDisplay:
         assert self._config is not None
         episodes = self._config.evaluation.episodes
         self._console.print(f"scoring the best and the last policies on {episodes} fresh episodes")
+
+    def noted(self, line: str) -> None:
+        """Say what happened, above the panel if there is one."""
+        self._console.print(line, soft_wrap=True, markup=False)
 
     def stop(self) -> None:
         """Give the terminal back."""
@@ -135,7 +139,7 @@ class ConsoleDisplay:
             )
         self._console.print(table)
         spread = f"{frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f}"
-        seeds = _count(len(frame), "seed")
+        seeds = count(len(frame), "seed")
         performance = f"performance {frame.performance.mean():.3f}"
         self._console.print(f"AER {spread} over {seeds}, {performance}")
         paper = paper_cell(frame)
@@ -153,7 +157,7 @@ def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
     if record.curve:
         epoch = record.curve[-1].epoch
         latest = np.array([point.aer for point in record.curve if point.epoch == epoch])
-        facts["return"] = f"{_mean_and_std(latest)} (best so far {record.best_aer.mean():.1f})"
+        facts["return"] = f"{mean_and_std(latest)} (best so far {record.best_aer.mean():.1f})"
     facts["samples"] = f"{samples.mean():,.0f}"
     for name, metric, form in (
         ("inverse dynamics", "inverse_dynamics_accuracy", ".0%"),
@@ -170,14 +174,20 @@ def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
     return facts
 
 
-def _mean_and_std(values: NDArray[np.float64]) -> str:
+def mean_and_std(values: NDArray[np.float64]) -> str:
+    """A mean and its spread, in words."""
     return f"{values.mean():.1f} ± {values.std():.1f}"
 
 
-def _count(number: int, what: str) -> str:
+def count(number: int, what: str) -> str:
+    """So many of something, in words."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """A time in its two largest units, in words."""
     minutes, rest = divmod(round(seconds), 60)
+    hours, minutes_left = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes_left:02d} min"
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -59,7 +60,9 @@ def load_environment(config: EnvironmentConfig) -> Environment:
             actions, or a bound of the observations is neither finite nor given.
     """
     try:
-        probe = gym.make(config.id, disable_env_checker=True, **config.kwargs)
+        with warnings.catch_warnings():  # which Gymnasium adds to its errors
+            warnings.simplefilter("ignore")
+            probe = gym.make(config.id, disable_env_checker=True, **config.kwargs)
     except Exception as error:  # an environment may raise what it likes
         said = one_line(error) or type(error).__name__
         raise UserError(f"env.id={config.id}: {said}") from None

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +14,27 @@ import numpy as np
 import torch
 import yaml
 
-from ril.config import idle_ablations, run_id
+from ril.config import idle_ablations, run_folder, run_id
 from ril.demonstrations.files import check_level, demonstrations_path, load_demonstrations
 from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment, load_environment
-from ril.errors import UserError
+from ril.errors import UserError, one_line
 from ril.evaluation import random_returns
-from ril.files import write_atomically
+from ril.files import WriteError, write_atomically
+from ril.interrupts import Stopped, stop_on_signals
+from ril.locking import BusyError, claimed
 from ril.methods.registry import METHODS
 from ril.policy import save_policies
-from ril.provenance import provenance
+from ril.provenance import command, provenance
 from ril.record import Record
-from ril.results import Row, write_csv
+from ril.results import Row, load_results, write_csv
 from ril.schema import METHOD_CONFIGS, Config
 from ril.task import Task
 from ril.training import Cell, Display, Outcome, train_and_score
 from ril.vectorized.processes import usable_processes
+
+#: What reading a file of the run raises that is not as it was left.
+_TORN = (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 
 
 def run(config: Config, display: Display, variant: str = "") -> Path:
@@ -45,7 +51,7 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
 
     Raises:
         UserError: something that was asked for cannot be used; no row has been written.
-        KeyboardInterrupt: the user stopped it; its message says how to go on.
+        Stopped: the user stopped it; the message says how to go on.
     """
     torch.set_num_threads(1)
     name = config.method.name
@@ -58,11 +64,13 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     demonstrations = load_demonstrations(path, environment)
     check_level(config, demonstrations)
     given = demonstrations.first(config.ablation.trajectories)
-    identifier = run_id(config, demonstrations.sha256)
-    folder = Path(config.output_dir) / config.env.name / name / identifier
-    if config.resume and (folder / "results.csv").exists():
-        display.finished(folder / "results.csv", skipped=True)
-        return folder
+    wanted = run_folder(config, demonstrations.sha256)
+    identifier = wanted.name
+    if config.resume:
+        if has_rows(wanted, config, identifier):
+            display.finished(wanted / "results.csv", skipped=True)
+            return wanted
+        _refuse_changed_demonstrations(wanted, config, demonstrations.sha256)
 
     method = None
     if name in METHODS:
@@ -78,33 +86,58 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
             usable_processes(config.processes),
         )
         method = entry.load()(config.method, task)
-    folder = _claim(folder, resume=config.resume)
-    details = {"run_id": identifier, **provenance(path, demonstrations.sha256)}
-    details = _keep_start(folder / "provenance.json", details)
-    settings = yaml.safe_dump(dataclasses.asdict(config), sort_keys=False, allow_unicode=True)
-    write_atomically(folder / "config.yaml", settings.encode())
 
-    display.started(config, folder, 0 if method is None else method.epochs)
-    if method is None:
-        outcome = _measure_reference(config, environment, demonstrations)
-    else:
-        cell = Cell(config, environment, method, given.actions, folder)
-        outcome = train_and_score(cell, display)
-        architecture = method.policy.architecture
-        save_policies(folder / "policy.pt", environment, architecture, outcome.record)
-        write_csv(folder / "curve.csv", outcome.record.curve)
-    random = random_returns(environment, [0], config.evaluation.episodes)
-    shared = {
-        "run_id": identifier,
-        "variant": variant,
-        "random_return": float(random.mean()),
-        "expert_return_measured": float(demonstrations.returns.mean()),
-        "wall_seconds": round(outcome.seconds, 2),
-        "commit": details["commit"],
-    }
-    # Last: a run with rows is a finished run.
-    write_csv(folder / "results.csv", _rows(config, outcome, shared))
-    (folder / "checkpoint.pt").unlink(missing_ok=True)
+    def say_who(holder: str) -> None:
+        cell = f"env={config.env.name} method={name}"
+        display.noted(f"{cell}: {holder} runs it already; waiting for its rows")
+
+    goes_on = f"; go on with {command()}" if config.resume else ""
+    try:
+        with (
+            claimed(wanted, beside=not config.resume, wait=say_who) as claim,
+            stop_on_signals() as stop,
+        ):
+            folder = claim.folder
+            stop.at_once = method is None
+            if config.resume and has_rows(folder, config, identifier):
+                display.finished(folder / "results.csv", skipped=True)  # meanwhile, by another
+                return folder
+            if not claim.exclusive:
+                display.noted(f"{folder}: cannot be locked here; do not run the cell twice at once")
+            details = {"run_id": identifier, **provenance(path, demonstrations.sha256)}
+            details = _keep_start(folder, details)
+            settings = yaml.safe_dump(
+                dataclasses.asdict(config), sort_keys=False, allow_unicode=True
+            )
+            write_atomically(folder / "config.yaml", settings.encode())
+
+            display.started(config, folder, 0 if method is None else method.epochs)
+            if method is None:
+                outcome = _measure_reference(config, environment, demonstrations)
+            else:
+                cell = Cell(config, identifier, environment, method, given.actions, claim, stop)
+                outcome = train_and_score(cell, display)
+            random = random_returns(environment, [0], config.evaluation.episodes)
+            claim.check()
+            if method is not None:
+                architecture = method.policy.architecture
+                save_policies(folder / "policy.pt", environment, architecture, outcome.record)
+                write_csv(folder / "curve.csv", outcome.record.curve)
+            shared = {
+                "run_id": identifier,
+                "variant": variant,
+                "random_return": float(random.mean()),
+                "expert_return_measured": float(demonstrations.returns.mean()),
+                "wall_seconds": round(outcome.seconds, 2),
+                "commit": details["commit"],
+            }
+            # Last: a run with rows is a finished run.
+            write_csv(folder / "results.csv", _rows(config, outcome, shared))
+            (folder / "checkpoint.pt").unlink(missing_ok=True)
+    except Stopped as stopped:
+        raise Stopped(f"{stopped}{goes_on}", stopped.number) from None
+    except WriteError as error:
+        raise UserError(f"{error}{goes_on}") from None
     display.finished(folder / "results.csv", skipped=False)
     return folder
 
@@ -163,29 +196,75 @@ def _device(name: str) -> torch.device:
     return device
 
 
-def _keep_start(path: Path, details: dict[str, Any]) -> dict[str, Any]:
+def has_rows(folder: Path, config: Config, identifier: str) -> bool:
+    """Whether a run left its rows; what it had no time to remove is removed.
+
+    Args:
+        folder: of the run.
+        config: of the run.
+        identifier: its run_id.
+
+    Raises:
+        UserError: they are not the rows that it wrote.
+    """
+    path = folder / "results.csv"
+    if not path.exists():
+        return False
+    anew = f"delete it, and {command()} runs the cell again"
+    try:
+        rows, left_out = load_results([folder])
+    except OSError as error:
+        raise UserError(f"{one_line(error)}; {anew}") from None
+    if left_out:
+        raise UserError(f"{left_out[0]}; {anew}")
+    if rows["seed"].tolist() != config.seeds or set(rows["run_id"]) != {identifier}:
+        raise UserError(f"{path}: does not hold the rows of {identifier}, a seed each; {anew}")
+    if any((folder / name).exists() for name in ("checkpoint.pt", ".lock")):
+        # Of one that still ends by itself, or is read-only by now, nothing is removed.
+        with suppress(BusyError, UserError, OSError), claimed(folder):
+            (folder / "checkpoint.pt").unlink(missing_ok=True)
+    return True
+
+
+def _refuse_changed_demonstrations(folder: Path, config: Config, sha256: str) -> None:
+    """Refuse to leave a stopped run behind because its demonstrations have changed meanwhile.
+
+    Raises:
+        UserError: there is a checkpoint of what would be this run, had they not.
+    """
+    for checkpoint in folder.parent.glob("*/checkpoint.pt"):
+        other = checkpoint.parent
+        try:
+            kept = json.loads((other / "provenance.json").read_text(encoding="utf-8"))
+            before = kept["demonstrations"]["sha256"]
+            if before == sha256 or run_id(config, before) != other.name:
+                continue
+            settings = yaml.safe_load((other / "config.yaml").read_text(encoding="utf-8"))
+            same_file = settings["demonstrations"] == config.demonstrations
+        except (*_TORN, yaml.YAMLError):
+            continue  # another run's trouble, which that run will name
+        if same_file:
+            raise UserError(
+                f"demonstrations={config.demonstrations}: changed since the stopped run in {other} "
+                f"began (SHA-256 {before[:10]}…, now {sha256[:10]}…); put the old file back to go "
+                "on, or delete that folder, or give resume=false, to start with the new one"
+            )
+
+
+def _keep_start(folder: Path, details: dict[str, Any]) -> dict[str, Any]:
     """Write the provenance; of a run that goes on, the first start's, with a list of the later."""
-    if path.exists():
-        first: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        again = {key: details[key] for key in ("command", "started", "commit")}
-        details = first | {"resumed": [*first.get("resumed", []), again]}
+    path = folder / "provenance.json"
+    if (folder / "checkpoint.pt").exists():
+        try:
+            first: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            resumed = [*first.get("resumed", [])]
+            first["commit"]
+        except _TORN:
+            raise UserError(
+                f"{path}: cannot be read, so where the run began is not known; "
+                f"delete {folder}, or give resume=false, to start again"
+            ) from None
+        again = {key: details[key] for key in ("command", "started", "commit", "processor")}
+        details = first | {"resumed": [*resumed, again]}
     write_atomically(path, json.dumps(details, indent=2).encode())
     return details
-
-
-def _claim(folder: Path, *, resume: bool) -> Path:
-    """Make sure the run can write, before it works for hours; beside an old run if not resumed."""
-    if not resume:
-        number = 2
-        wanted = folder
-        while folder.exists():
-            folder = wanted.with_name(f"{wanted.name}-{number}")
-            number += 1
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise UserError(f"output_dir: {folder} cannot be written ({error.strerror})") from None
-    return folder

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ril.environments import Environment, Floats
 from ril.errors import UserError
-from ril.files import write_tensors
+from ril.files import tensor_bytes, write_atomically
 from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.record import Record
 from ril.vectorized.networks import MLP, Architecture, Dueling, Network
@@ -68,7 +68,7 @@ def save_policies(
         "best": record.best.cpu(),
         "last": record.last.cpu(),
     }
-    write_tensors(path, content)
+    write_atomically(path, tensor_bytes(content))
 
 
 def _described(architecture: Architecture) -> dict[str, Any]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
+import shlex
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -12,11 +14,17 @@ from pathlib import Path
 from typing import Any
 
 _LIBRARIES = ("torch", "numpy", "gymnasium", "stable-baselines3", "hydra-core", "pandas")
+_PACKAGE = Path(__file__).parent
+#: Of the code, what no number of a run can depend on.
+_SHOWS_ONLY = (
+    *("report", "cli.py", "command.py", "display.py"),
+    *("loggers.py", "sweep.py", "sweep_progress.py"),
+)
 
 
 def commit() -> str:
     """The checkout's commit, with "-dirty" if it has changes; "" where ril is installed."""
-    root = Path(__file__).parent.parent
+    root = _PACKAGE.parent
     if not (root / ".git").exists():
         return ""
     try:
@@ -26,10 +34,39 @@ def commit() -> str:
         return ""
 
 
+def command() -> str:
+    """The command line, as it can be given again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def origin(identifier: str) -> dict[str, str]:
+    """What must not change between a run's stop and its going on, lest its rows be a mixture.
+
+    Args:
+        identifier: of the run.
+    """
+    return {
+        "run_id": identifier,
+        "ril": version("ril"),
+        "code": _code(),
+        **{name: version(name) for name in _LIBRARIES[:4]},
+    }
+
+
+def _code() -> str:
+    """A digest of the code that numbers come from, with changes that are not committed."""
+    digest = hashlib.sha256()
+    for file in sorted(_PACKAGE.rglob("*.py")):
+        name = file.relative_to(_PACKAGE)
+        if name.parts[0] not in _SHOWS_ONLY:
+            digest.update(f"{name.as_posix()}\0".encode() + file.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
+
+
 def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
     """What `provenance.json` holds at the start of a run."""
     return {
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": command(),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "ril": version("ril"),
         "commit": commit(),

@@ -362,3 +362,4 @@ class Config:
     device: str = MISSING
     compile: Any = MISSING
     resume: bool = MISSING
+    logging: Any = None

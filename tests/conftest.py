@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import hydra
 import numpy as np
 import pytest
 import torch
+from hydra.core.global_hydra import GlobalHydra
 from hypothesis import settings
 from omegaconf import DictConfig
 
-from ril.cli import store_schemas
+from ril.cli import main, store_schemas
 from ril.collection import Episode, save
 from ril.config import from_hydra
 from ril.demonstrations.files import load_demonstrations
@@ -220,9 +224,44 @@ class Silence:
 
     def scoring(self) -> None: ...
 
+    def noted(self, line: str) -> None: ...
+
     def finished(self, rows: Path, *, skipped: bool) -> None: ...
 
 
 @pytest.fixture
 def silence() -> Silence:
     return Silence()
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended, and what it wrote."""
+
+    status: int
+    output: str
+    errors: str
+
+
+@pytest.fixture
+def here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., Ended]:
+    """`ril-run` in this process, which is as real and faster."""
+
+    def ran(*arguments: str) -> Ended:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", ["ril-run", *arguments])
+        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set by the command, and put back after
+        GlobalHydra.instance().clear()
+        try:
+            main()
+            status: Any = 0
+        except SystemExit as end:
+            status = end.code
+        captured = capfd.readouterr()
+        if isinstance(status, str):  # the interpreter prints it on stderr, and ends with 1
+            return Ended(1, captured.out, f"{captured.err}{status}\n")
+        return Ended(status, captured.out, captured.err)
+
+    return ran

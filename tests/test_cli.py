@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,8 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import CARTPOLE, QUICK
-from hydra.core.global_hydra import GlobalHydra
+from conftest import CARTPOLE, QUICK, Ended
 
-from ril.cli import main
 from ril.environments import Environment
 from ril.evaluation import Evaluation
 from ril.paths import config_folder
@@ -27,15 +25,6 @@ from ril.policy import load_policy
 from ril.results import Row, load_results
 
 SCRIPTS = Path(sys.executable).parent
-
-
-@dataclass(frozen=True)
-class Ended:
-    """How a command ended, and what it wrote."""
-
-    status: int
-    output: str
-    errors: str
 
 
 def shell(folder: Path, *command: str) -> Ended:
@@ -51,30 +40,6 @@ def shell(folder: Path, *command: str) -> Ended:
     return Ended(done.returncode, done.stdout, done.stderr)
 
 
-@pytest.fixture
-def here(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> Callable[..., Ended]:
-    """`ril-run` in this process, which is as real and faster."""
-
-    def ran(*arguments: str) -> Ended:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["ril-run", *arguments])
-        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set by the command, and put back after
-        GlobalHydra.instance().clear()
-        try:
-            main()
-            status: Any = 0
-        except SystemExit as end:
-            status = end.code
-        captured = capfd.readouterr()
-        if isinstance(status, str):  # the interpreter prints it on stderr, and ends with 1
-            return Ended(1, captured.out, f"{captured.err}{status}\n")
-        return Ended(status, captured.out, captured.err)
-
-    return ran
-
-
 def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
     """Refused with one line that names the key or file, and nothing written."""
     assert ended.status == 1
@@ -86,77 +51,9 @@ def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
     assert not (folder / "outputs").exists()
 
 
-MISTAKES = {
-    "env=nope": "env=nope: unknown, choose one of acrobot, cartpole",
-    "method=nope": "method=nope: unknown, choose one of acktr, bc, dqn, dqn_prioritized, expert, "
-    "gail, ilpo, iupe, ppo, random, ril, ril_sequential",
-    "experiment=nope": "experiment=nope: unknown, choose one of quick",
-    "compile=fast": "compile=fast: must be auto, true or false",
-    "compile=1": "compile=1: must be auto, true or false",
-    "ablation=nope": "ablation=nope: unknown",
-    "fidelity=nope": "fidelity=nope: unknown",
-    "nope=1": "nope: no such key",
-    "seed=3": "seed: no such key; is it seeds?",
-    "ablation.nope=1": "ablation.nope: no such key of ablation",
-    "method.cloning.lerning_rate=1": "method.cloning.lerning_rate: no such key of method.cloning; "
-    "is it learning_rate?",
-    "+nope=1": "nope: no such key",
-    "+method.nope=1": "method.nope: no such key",
-    "+env.goal.nope=1": "env.goal.nope: no such key",
-    "ablation.k=0": "ablation.k=0",
-    "ablation.k=-1": "ablation.k=-1",
-    "ablation.k=nan": "ablation.k=nan",
-    "ablation.k=steep": "ablation.k: ",
-    "ablation.n=0": "ablation.n=0",
-    "ablation.trajectories=0": "ablation.trajectories=0",
-    "ablation.trajectories=101": "ablation.trajectories=101: must be within 1..100",
-    "ablation.expert_return=-3": "ablation.expert_return=-3",
-    "seeds=[]": "seeds=[]",
-    "seeds=0": "seeds=0",
-    "seeds=[1,1]": "seeds=[1, 1]",
-    "seeds=[-1]": "seeds=[-1]",
-    "seeds=abc": "seeds=abc",
-    "seeds=[1": "seeds=[1: cannot be read as key=value",
-    "method.epochs=0": "method.epochs=0",
-    "method.epochs=1.5": "method.epochs: ",
-    "method.network.hidden=3": "method.network.hidden: ",
-    "method.q_learning.discount=2": "method.q_learning.discount=2.0: must be within 0..1",
-    "method.exploration.kind=foo": "method.exploration.kind=foo: must be one of softmax, uniform",
-    "method.name=foo": "method.name=foo: must be ril",
-    "method.name=bc": "method.name=bc: must be ril",
-    "method=null": "Config group override",
-    "env.name=../up": "env.name=../up: must name a folder below output_dir",
-    "+env.kwargs.gravity=1": "env.id=MountainCar-v0: ",
-    "device=nonsense": "device=nonsense",
-    "device=meta": "device=meta",
-    "env=gym": "env.id: must be given",
-    "demonstrations=none.npz": "demonstrations=none.npz: no such file",
-    "env.id=Nope-v0": "env.id=Nope-v0",
-    "env.kwargs.nope=1": "env.kwargs.nope: not there yet; give it as +env.kwargs.nope=",
-    "+env.kwargs.nope=1": "env.id=MountainCar-v0: ",
-    "env.observation_low=[0]": "env.observation_low",
-    "env.goal.minimum_return=many": "env.goal.minimum_return: ",
-    "resume=maybe": "resume: ",
-    "nope": "nope: cannot be read as key=value",
-}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "names"),
-    [
-        (("method.imitation=false", "method.reinforcement=false"), "nothing would learn"),
-        (("env.goal.terminated=null",), "env.goal: "),
-    ],
-)
-def test_a_run_that_makes_no_sense_is_refused(
-    here: Callable[..., Ended], tmp_path: Path, arguments: tuple[str, ...], names: str
-) -> None:
-    assert_one_line(here(*arguments), names, tmp_path)
-
-
 def test_help_names_every_choice(here: Callable[..., Ended]) -> None:
     choices = here("--help").output.partition("Keys and their values")[0]
-    for group in ("env", "method", "experiment", "fidelity"):
+    for group in ("env", "method", "experiment", "ablation", "logging", "fidelity"):
         [entry] = re.findall(rf"^ *{group}= .*(?:\n {{8,}}.*)*", choices, re.MULTILINE)
         for file in (config_folder() / group).glob("*.yaml"):
             assert re.search(rf"\b{file.stem}\b", entry), file.stem
@@ -172,46 +69,6 @@ def test_a_reader_who_stops_reading_is_no_mistake(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
-@pytest.mark.parametrize("argument", MISTAKES)
-def test_a_mistake_is_one_line_that_names_it(
-    here: Callable[..., Ended], tmp_path: Path, argument: str
-) -> None:
-    key = argument.partition("=")[0]
-    others = [usual for usual in QUICK if usual.partition("=")[0] != key]
-    assert_one_line(here(*others, argument), MISTAKES[argument], tmp_path)
-
-
-@pytest.fixture(params=["missing", "torn", "of another environment", "with NaN"])
-def faulty(
-    request: pytest.FixtureRequest, tmp_path: Path, demonstration_files: dict[str, Path]
-) -> Path:
-    """Demonstrations for MountainCar that cannot be used."""
-    path, good = tmp_path / "faulty.npz", demonstration_files["mountaincar"]
-    if request.param == "torn":
-        path.write_bytes(good.read_bytes()[:-100])
-    elif request.param == "of another environment":
-        path = demonstration_files["cartpole"]
-    elif request.param == "with NaN":
-        with np.load(good) as archive:
-            arrays = dict(archive)
-        arrays["observations"][7] = np.nan
-        np.savez(path, **arrays)
-    return path
-
-
-def test_faulty_demonstrations_are_one_line_that_names_them(
-    here: Callable[..., Ended], tmp_path: Path, faulty: Path
-) -> None:
-    assert_one_line(here(f"demonstrations={faulty}"), f"demonstrations={faulty}: ", tmp_path)
-
-
-def test_a_folder_that_cannot_be_written_is_one_line_that_names_it(
-    here: Callable[..., Ended], tmp_path: Path
-) -> None:
-    (tmp_path / "file").touch()
-    assert_one_line(here("output_dir=file/below"), "output_dir: file/below/", tmp_path)
-
-
 @pytest.mark.parametrize(
     "argument",
     ["env=nope", "method.nope=1", "ablation.k=0", "seeds=[]", "device=nonsense", "output_dir=f/x"],
@@ -220,19 +77,6 @@ def test_a_mistake_is_one_line_of_the_installed_command_too(tmp_path: Path, argu
     (tmp_path / "f").touch()
     ended = shell(tmp_path, "ril-run", argument)
     assert_one_line(ended, argument.partition("=")[0], tmp_path)
-
-
-def test_a_torn_checkpoint_is_one_line_that_names_it(
-    here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
-) -> None:
-    results = here(*quick_command).output.split()[-1]
-    folder = tmp_path / results
-    (folder / "results.csv").unlink()
-    (folder / "checkpoint.pt").write_bytes(b"torn")
-    ended = here(*quick_command)
-    assert ended.status == 1
-    assert ended.errors.startswith(f"ril-run: {results}/checkpoint.pt: cannot be read")
-    assert ended.errors.count("\n") == 1
 
 
 @pytest.fixture(scope="session")
@@ -447,8 +291,34 @@ def test_interrupting_a_run_is_one_line(tmp_path: Path, command: tuple[str, ...]
     finally:
         process.kill()
         process.wait()
-    assert process.returncode == 1
-    said = r"ril-run: stopped after epoch \d+; the same command goes on from there\n"
+    assert process.returncode == 128 + signal.SIGINT
+    said = rf"ril-run: stopped after epoch \d+; go on with ril-run {' '.join(command)}\n"
     assert re.fullmatch(said, errors)
     assert list(tmp_path.rglob("checkpoint.pt"))
     assert not list(tmp_path.rglob("results.csv"))
+
+
+def test_completion_knows_groups_and_keys(
+    here: Callable[..., Ended], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for line, expected in (
+        ("ril-run env=", "env=mountaincar"),
+        ("ril-run experiment=", "experiment=table9"),
+        ("ril-run method=dqn ablation.", "ablation.k="),
+    ):
+        monkeypatch.setenv("COMP_LINE", line)
+        monkeypatch.setenv("COMP_POINT", str(len(line)))
+        assert expected in here("-sc", "query=bash").output.split()
+
+
+def test_completion_can_be_installed(here: Callable[..., Ended]) -> None:
+    assert "hydra_bash_completion ril-run" in here("-sc", "install=bash").output
+
+
+def test_help_and_completion_load_nothing_heavy() -> None:
+    heavy = "{'torch', 'gymnasium', 'pandas', 'joblib', 'numpy'}"
+    code = (
+        f"import sys, ril.cli, hydra_plugins.ril_sweeper; sys.exit(str({heavy} & {{*sys.modules}}))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stderr=subprocess.PIPE, text=True)
+    assert done.stderr == "set()\n"

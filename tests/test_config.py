@@ -441,7 +441,11 @@ def test_run_id_is_ten_hexadecimal_digits(compose: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "override", ["output_dir=elsewhere", "resume=false", "demonstrations=copy.npz", "processes=3"]
+    "override",
+    [
+        *("output_dir=elsewhere", "resume=false", "demonstrations=copy.npz", "processes=3"),
+        "logging=tensorboard",
+    ],
 )
 def test_run_id_does_not_depend_on_what_changes_no_number(compose: Any, override: str) -> None:
     assert identifier(compose, override) == identifier(compose)
@@ -471,7 +475,7 @@ def leaves(node: Any, key: str = "") -> list[tuple[str, Any]]:
 def test_run_id_depends_on_every_other_key(compose: Any) -> None:
     plain = identifier(compose)
     for key, value in leaves(compose()):
-        if key in ("compile", "output_dir", "resume", "demonstrations", "processes"):
+        if key in ("compile", "output_dir", "resume", "demonstrations", "processes", "logging"):
             continue
         config = compose()
         parent, _, name = key.rpartition(".")
@@ -493,7 +497,7 @@ def test_run_id_is_as_if_there_were_no_compilation_where_none_is_asked_for(compo
     config = compose("method=dqn", "compile=auto")
     found = run_id(config, "0")
     content = dataclasses.asdict(config) | {"demonstrations": "0"}
-    for key in ("output_dir", "resume", "compile", "processes"):
+    for key in ("output_dir", "resume", "compile", "processes", "logging"):
         del content[key]
     content["ablation"] = {"expert_return": None}
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -340,7 +340,8 @@ def test_the_provenance_of_a_run_that_went_on_is_its_first_starts(
     first = json.loads((interrupted / "provenance.json").read_text())
     quick_run(*LONGER, folder=tmp_path)
     after = json.loads((interrupted / "provenance.json").read_text())
-    assert [set(again) for again in after.pop("resumed")] == [{"command", "started", "commit"}]
+    again = {"command", "started", "commit", "processor"}
+    assert [set(each) for each in after.pop("resumed")] == [again]
     assert after == first
 
 
@@ -355,16 +356,50 @@ class Signal(Silence):
             signal.raise_signal(self.number)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_stops_after_the_epoch_and_nothing_is_lost(
     quick_run: QuickRun, tmp_path: Path, number: int
 ) -> None:
     handler = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt, match="stopped after epoch 2; the same command goes on"):
+    with pytest.raises(KeyboardInterrupt, match="stopped after epoch 2; go on with "):
         quick_run(*LONGER, folder=tmp_path, display=Signal(number))
     assert signal.getsignal(number) is handler
     epochs = Epochs()
     assert same(quick_run(*LONGER, folder=tmp_path, display=epochs), quick_run(*LONGER))
+    assert epochs.seen == [3, 4, 5, 6]
+
+
+class SignalWhileScoring(Silence):
+    """Sends this process a signal once training is over."""
+
+    def scoring(self) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_while_scoring_stops_at_once_and_training_is_kept(
+    quick_run: QuickRun, tmp_path: Path
+) -> None:
+    with pytest.raises(KeyboardInterrupt, match="stopped at once; go on with "):
+        quick_run(*LONGER, folder=tmp_path, display=SignalWhileScoring())
+    epochs = Epochs()
+    assert same(quick_run(*LONGER, folder=tmp_path, display=epochs), quick_run(*LONGER))
+    assert epochs.seen == []
+
+
+class ClosedTerminal(Silence):
+    """Fails as a terminal that is closed after the first epoch, and sends SIGHUP as it does."""
+
+    def advanced(self, progress: Progress, record: Record) -> None:
+        if progress.epoch == 2:
+            signal.raise_signal(signal.SIGHUP)
+            raise OSError("Input/output error")
+
+
+def test_a_closed_terminal_does_not_cost_the_epoch(quick_run: QuickRun, tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt, match="stopped after epoch 2; go on with "):
+        quick_run(*LONGER, folder=tmp_path, display=ClosedTerminal())
+    epochs = Epochs()
+    quick_run(*LONGER, folder=tmp_path, display=epochs)
     assert epochs.seen == [3, 4, 5, 6]
 
 
@@ -495,6 +530,21 @@ def test_a_reference_leaves_rows_and_where_they_come_from(
     for row in rows(folder):
         counts = ("epochs", "env_samples", "expert_samples", "pre_samples", "samples_to_best")
         assert [row[name] for name in counts] == [0] * 5
+
+
+class SignalAtStart(Silence):
+    """Sends this process a signal before anything is done."""
+
+    def started(self, config: Config, folder: Path, epochs: int) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_ends_a_reference_at_once(compose: Any, tmp_path: Path) -> None:
+    config = compose("method=random", "seeds=1")
+    config.output_dir = str(tmp_path)
+    with pytest.raises(KeyboardInterrupt, match="stopped at once; go on with "):
+        run(config, SignalAtStart())
+    assert not list(tmp_path.rglob("results.csv"))
 
 
 @pytest.mark.parametrize(("method", "used"), [("ril", True), ("bc", False), ("iupe", False)])

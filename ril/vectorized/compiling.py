@@ -33,10 +33,22 @@ def worth_compiling(wanted: bool | str, updates: int) -> bool:
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function, compiled at its first call for the shapes it is then given."""
+    """The same function, compiled at its first call for the shapes it is then given.
+
+    It raises UserError if it cannot be: a compiler may be there and broken, or the disk be full.
+    """
     import torch._dynamo
     import torch._inductor.config
 
     torch._dynamo.config.recompile_limit = 64  # of one function, by runs of other shapes
     torch._inductor.config.compile_threads = 1  # there is little to compile; start no workers
-    return torch.compile(function, fullgraph=True, dynamic=False)
+    graph = torch.compile(function, fullgraph=True, dynamic=False)
+
+    def call(*arguments: Any) -> Any:
+        try:
+            return graph(*arguments)
+        except torch._dynamo.exc.TorchDynamoException as error:
+            said = str(error).partition("\n")[0]
+            raise UserError(f"compile: torch cannot ({said}); compile=false goes without") from None
+
+    return call

@@ -15,6 +15,7 @@ from typing import Any, Concatenate, Generic, TypeVar
 import joblib
 
 from ril.errors import UserError
+from ril.interrupts import SIGNALS
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -36,8 +37,8 @@ def usable_processes(wanted: int | None) -> int:
 class Spread(Generic[T]):
     """Objects that live in worker processes, each always in the same one.
 
-    Ctrl-C and SIGTERM are left to the process that made them; the workers end with that, or with
-    this object. What goes to them and comes back is copied.
+    Ctrl-C, SIGTERM and SIGHUP are left to the process that made them; the workers end with that,
+    or with this object. What goes to them and comes back is copied.
 
     Args:
         builders: make the objects, there where they are to live.
@@ -116,7 +117,7 @@ def _start_worker() -> Connection:
 
 def _work(connection: Connection) -> None:
     """What a worker does."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     import torch  # takes seconds, in which signals are to be ignored already
 

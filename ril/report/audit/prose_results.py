@@ -24,7 +24,7 @@ STATEMENTS = (
     Statement(
         "§5.3",
         "100 trajectories are ≈ 100× more samples",
-        lambda p: p.means("table6", "expert_samples").eval("`100` / `1`").mean(),
+        lambda p: (samples := p.means("table6", "expert_samples"))["100"].div(samples["1"]).mean(),
         "1e2",
     ),
     Statement(

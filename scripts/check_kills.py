@@ -1,0 +1,121 @@
+"""Is a run that is killed again and again the same, digit for digit, as one that is not?
+
+    python scripts/check_kills.py                  # bc, iupe, ril and dqn, 20 kills each
+    python scripts/check_kills.py gail --kills 5   # another method
+
+Each cell is run once to the end, and then by starts that are killed (SIGKILL) at moments drawn
+over the time that the first run took, until there were as many kills as asked; whenever a start
+ends before its moment, its rows are compared and the cell is begun anew. A table as in
+docs/resuming.md is printed at the end; exit status 1 if anything differed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import pandas as pd
+
+RIL_RUN = Path(sys.executable).with_name("ril-run")
+SEEDS = "seeds=[100,101,102]"
+MOUNTAINCAR, CARTPOLE = "env=mountaincar", "env=cartpole"
+CELLS = {
+    "bc": (MOUNTAINCAR, "method.epochs=60"),
+    "iupe": (MOUNTAINCAR, "method.epochs=12"),
+    "ril": (MOUNTAINCAR, "method.epochs=15"),
+    "dqn": (CARTPOLE, "method.total_timesteps=10_000"),
+    "dqn_prioritized": (CARTPOLE, "method.total_timesteps=10_000"),
+    "acktr": (CARTPOLE, "method.total_timesteps=50_000"),
+    "ilpo": (CARTPOLE,),
+    "ppo": (CARTPOLE, "method.total_timesteps=20_000", "processes=1"),
+    "gail": (CARTPOLE, "method.total_timesteps=20_000", "processes=1"),
+}
+STAGES = ("starting", "before a checkpoint", "between checkpoints", "scoring and rows")
+
+
+def start(method: str, folder: Path) -> subprocess.Popen[bytes]:
+    """One start of the cell; what it says is added to a log in its folder."""
+    folder.mkdir(exist_ok=True)
+    command = [RIL_RUN, f"method={method}", SEEDS, *CELLS[method], f"output_dir={folder}/outputs"]
+    with (folder / "log").open("ab") as log:
+        return subprocess.Popen(command, stdout=log, stderr=log, env=os.environ)
+
+
+def stage(folder: Path) -> str:
+    """How far a killed start had come."""
+    last = (folder / "log").read_text().rpartition("\nenv=")[2]
+    if "scoring" in last:
+        return "scoring and rows"
+    if list(folder.rglob("checkpoint.pt")):
+        return "between checkpoints"
+    return "before a checkpoint" if list(folder.rglob("config.yaml")) else "starting"
+
+
+def left_by(folder: Path) -> tuple[str, str]:
+    """Rows but for their time, and the curve."""
+    [path] = folder.rglob("results.csv")
+    rows = pd.read_csv(path, dtype=str).drop(columns="wall_seconds")
+    return rows.to_csv(), path.with_name("curve.csv").read_text()
+
+
+def check(method: str, kills: int, work: Path) -> tuple[str, bool]:
+    """A line of the table, and whether everything was the same."""
+    whole, killed = work / "whole", work / "killed"
+    began = time.monotonic()
+    if start(method, whole).wait():
+        sys.exit((whole / "log").read_text())
+    seconds = time.monotonic() - began
+    expected, moments = left_by(whole), random.Random(0)
+    stages: Counter[str] = Counter()
+    same: list[bool] = []
+    while True:
+        last = stages.total() == kills
+        process = start(method, killed)
+        try:
+            status = process.wait(None if last else moments.uniform(0, seconds))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            stages[stage(killed)] += 1
+            print(f"{method}: kill {stages.total()} of {kills}", file=sys.stderr)
+            continue
+        if status:
+            sys.exit((killed / "log").read_text())
+        same.append(left_by(killed) == expected)
+        if last:
+            break
+        shutil.rmtree(killed)
+    counts = " | ".join(str(stages[name]) for name in STAGES)
+    keys = " ".join(CELLS[method])
+    line = f"| `method={method} {keys}` | {seconds:.0f} s | {counts} | {sum(same)} of {len(same)} |"
+    return line, all(same)
+
+
+def main() -> None:
+    """Check the methods of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("methods", nargs="*", help=f"of {', '.join(CELLS)}")
+    parser.add_argument("--kills", type=int, default=20)
+    given = parser.parse_args()
+    lines, good = [], []
+    for method in given.methods or ["bc", "iupe", "ril", "dqn"]:
+        with tempfile.TemporaryDirectory() as work:
+            line, same = check(method, given.kills, Path(work))
+        print(line, flush=True)
+        lines.append(line)
+        good.append(same)
+    print(f"\n| | uninterrupted | {' | '.join(STAGES)} | same |\n" + "|---" * 7 + "|")
+    print("\n".join(lines))
+    sys.exit(not all(good))
+
+
+if __name__ == "__main__":
+    main()
