@@ -162,6 +162,7 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
     content = dataclasses.asdict(config)
     for key in _NOT_IN_RUN_ID:
         del content[key]
+    del content["env"]["vectorized"]
     content["demonstrations"] = demonstrations_sha256
     compiles = isinstance(getattr(config.method, "q_learning", None), OnlineQLearningConfig)
     if content["compile"] == "auto" or not compiles:

@@ -13,6 +13,7 @@ from ril.errors import UserError, one_line
 from ril.schema import EnvironmentConfig, GoalConfig
 
 Floats = NDArray[np.float32]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

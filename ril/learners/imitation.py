@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.environments import Floats, reaches_goal
+from ril.environments import Floats, Integers, reaches_goal
 from ril.errors import UserError
 from ril.learners.cloning import Cloning
 from ril.learners.exploration import exploration_ratio, sample_softmax
@@ -23,7 +23,7 @@ from ril.schema import GoalConfig, IUPEConfig
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
-from ril.vectorized.rollout import Environments, Episodes, Integers
+from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.streams import Streams
 
 _PRE_COPIES = 10  # environments per seed that fill I^pre side by side

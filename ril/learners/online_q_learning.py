@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ril.environments import Floats
+from ril.environments import Floats, Integers
 from ril.errors import UserError
 from ril.learners.exploration import sample_softmax
 from ril.learners.q_learning import QLearning
@@ -18,7 +18,6 @@ from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay
-from ril.vectorized.rollout import Integers
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 
