@@ -132,14 +132,17 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """Each seed's xW + b: (S, B, n), (S, n, m) and (S, 1, m) to (S, B, m).
 
     Where n or m is 1, a zero is put beside it: torch would multiply by a vector, and then it
-    rounds otherwise for one seed alone than for several.
+    rounds otherwise for one seed alone than for several. Within a compiled graph, where it costs
+    next to nothing, m is filled up to 16, which makes such a product more than twice as fast.
     """
     inputs, outputs = weight.shape[1:]
     if inputs == 1:
         x, weight = functional.pad(x, (0, 1)), functional.pad(weight, (0, 0, 0, 1))
-    if outputs == 1:
-        weight, bias = functional.pad(weight, (0, 1)), functional.pad(bias, (0, 1))
-        return torch.baddbmm(bias, x, weight)[..., :1]
+    least = 16 if torch.compiler.is_compiling() else 2
+    if outputs < least:
+        beside = 0, least - outputs
+        weight, bias = functional.pad(weight, beside), functional.pad(bias, beside)
+        return torch.baddbmm(bias, x, weight)[..., :outputs]
     return torch.baddbmm(bias, x, weight)
 
 
