@@ -43,7 +43,7 @@ class Environment:
     def scale(self, observations: NDArray[np.floating]) -> Floats:
         """Raw observations (..., observation_size) to about [−1, 1] (docs/deviations.md, D5)."""
         center, half = self._center_and_half
-        scaled: Floats = ((observations - center) / half).astype(np.float32)
+        scaled: Floats = ((observations - center) / half).astype(np.float32, copy=False)
         return scaled
 
     @cached_property

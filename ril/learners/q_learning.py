@@ -66,6 +66,7 @@ class QLearning:
         """
         config, device = self.config, self.policy.flat.device
         uniform = self._streams.uniform(updates, config.batch_size)
+        memory = self.replay.everything()
         total = torch.zeros(len(uniform), device=device)
         for update in range(updates):
             if config.target_interval and self._optimizer.steps % config.target_interval == 0:
@@ -74,7 +75,6 @@ class QLearning:
             weights = None
             if self.priorities is not None:
                 weights = self.priorities.importance(slots, self.replay.sizes, beta)
-            memory = self.replay.everything()
             _, losses, errors = self._descend(self._target.flat, memory, slots, weights)
             if self.priorities is not None:
                 self.priorities.update(slots, errors)

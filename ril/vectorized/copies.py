@@ -29,7 +29,7 @@ class Copies(Protocol):
         """Begin an episode in one copy."""
 
     def step(self, indices: Integers, actions: Integers) -> Outcome:
-        """Take actions (C,) in the copies at indices (C,), whose episodes must not be over."""
+        """Take actions (C,) in the copies at indices (C,), in order, whose episodes are not over."""
 
 
 def make_copies(environment: Environment, count: int) -> Copies:
@@ -96,10 +96,10 @@ class ArrayCopies:
 
     def step(self, indices: Integers, actions: Integers) -> Outcome:
         """Take actions (C,) in the copies at indices (C,)."""
-        states, observations, rewards, ends = self._step(
-            self._one, self._states[:, indices], actions
-        )
-        self._states[:, indices] = states
-        self.observations[indices] = observations.T
-        self._taken[indices] += 1
-        return rewards.astype(np.float32), ends, self._taken[indices] >= self._limit
+        everywhere = len(indices) == len(self._taken)
+        at = slice(None) if everywhere else indices  # without copying
+        states, observations, rewards, ends = self._step(self._one, self._states[:, at], actions)
+        self._states[:, at] = states
+        self.observations[at] = observations.T
+        self._taken[at] += 1
+        return rewards.astype(np.float32), ends, self._taken[at] >= self._limit

@@ -194,8 +194,10 @@ class Network:
     def __init__(self, architecture: Architecture, flat: Tensor) -> None:
         self.architecture = architecture
         self.flat = flat
-        views = by_name(architecture, flat)
-        self.parameters = {name: view.detach().requires_grad_() for name, view in views.items()}
+        self._views = by_name(architecture, flat)
+        self.parameters = {
+            name: view.detach().requires_grad_() for name, view in self._views.items()
+        }
 
     @classmethod
     def initialise(
@@ -232,7 +234,8 @@ class Network:
     def infer(self, observations: Floats) -> Tensor:
         """(S·N, obs) scaled observations, one seed's side by side, to (S, N, outputs)."""
         by_seed = torch.from_numpy(observations).to(self.flat.device)
-        return self(by_seed.view(len(self.flat), -1, observations.shape[-1]))
+        by_seed = by_seed.view(len(self.flat), -1, observations.shape[-1])
+        return self.architecture.forward(self._views, by_seed)  # no leaves of autograd, so cheaper
 
     def greedy(self, observations: Floats) -> NDArray[np.int64]:
         """Actions of the largest outputs: (S·N, obs) as for `infer`, to (S·N,)."""
