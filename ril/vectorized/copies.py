@@ -29,7 +29,7 @@ class Copies(Protocol):
         """Begin an episode in one copy."""
 
     def step(self, indices: Integers, actions: Integers) -> Outcome:
-        """Take actions (C,) in the copies at indices (C,), in order, whose episodes are not over."""
+        """Take actions (C,) in copies (C,), in order, whose episodes must not be over."""
 
 
 def make_copies(environment: Environment, count: int) -> Copies:
