@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import resource
 import statistics
 import subprocess
 import sys
@@ -10,7 +12,14 @@ import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-RUN = (sys.executable, "-c", "from ril.cli import main; main()")
+#: `ril-run`, which at its end says how much memory it had at its peak. (What the system says of
+#: a child begins with its parent's.)
+RUN = (
+    sys.executable,
+    "-c",
+    "import atexit, sys; from ril.cli import main; status = '/proc/self/status'; "
+    "atexit.register(lambda: print(open(status).read(), file=sys.stderr)); main()",
+)
 
 
 def seconds(work: Callable[[], object], times: int = 1) -> float:
@@ -38,19 +47,25 @@ class Cost(NamedTuple):
 
 
 def cost(command: tuple[str, ...], **environment: str) -> Cost:
-    """What a command costs.
+    """What a command of `RUN` costs.
 
     Raises:
         RuntimeError: it fails.
     """
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"} | environment
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    ended = subprocess.run(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"OMP_NUM_THREADS": "1"} | environment,
     )
-    _, status, used = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(command)}: exit status {process.returncode}")
-    return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    peak = re.search(r"VmHWM:\s*(\d+) kB", ended.stderr)
+    if ended.returncode or peak is None:
+        raise RuntimeError(f"{' '.join(command)}: {ended.stderr}")
+    took = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Cost(took, int(peak[1]) / 1024)
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

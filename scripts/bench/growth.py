@@ -53,10 +53,8 @@ def growth(quick: bool) -> tuple[str, float]:
             used = cost((*RUN, "env=mountaincar", f"output_dir={folder}", *overrides))
             shutil.rmtree(folder)
             first = first or used.seconds
-            rows.append(
-                (what, size, *(f"{used.seconds:.1f} s", f"{used.seconds / first:.1f}×")),
-            )
-            rows[-1] += (f"{used.megabytes:,.0f} MB",)
+            took = f"{used.seconds:.1f} s", f"{used.seconds / first:.1f}×"
+            rows.append((what, size, *took, f"{used.megabytes:,.0f} MB"))
             if what == "seeds of RIL" and size == "10":
                 of_ten = used.megabytes
     head = "MountainCar", "how many", "processor time, start-up included", "", "peak memory"

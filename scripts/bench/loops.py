@@ -1,4 +1,4 @@
-"""(b) Whole loops of DQN beside Stable-Baselines3's and SBX's; (c) RIL's seeds together and alone."""
+"""(b) Whole loops of DQN beside others'; (c) RIL's seeds together, and one at a time."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from tempfile import TemporaryDirectory
 
 import torch
 from matched_dqn import composed, stable_baselines_dqn
+from rich.console import Console
 from stable_baselines3.common.callbacks import BaseCallback
 
 from bench.clock import in_turns, seconds, table
 from ril.demonstrations.trajectories import StateTransitions
+from ril.display import ConsoleDisplay
 from ril.environments import load_environment
 from ril.experiment import run
 from ril.methods.dqn import DQN
@@ -138,20 +140,11 @@ def dqn(rounds: int, steps: int, settings: int, sbx: Path | None) -> tuple[str, 
     return table(head, rows) + ("" if sbx else f"\n\n{WITHOUT_SBX}"), found
 
 
-class Silent:
-    """Shows nothing of a run."""
-
-    def started(self, *_: object) -> None: ...
-    def advanced(self, *_: object) -> None: ...
-    def scoring(self) -> None: ...
-    def finished(self, *_: object, skipped: bool) -> None: ...
-
-
 def seconds_of_run(*overrides: str) -> float:
     """What a whole run takes, looks and scoring included."""
     with TemporaryDirectory() as folder:
         config = composed(f"output_dir={folder}", *overrides)
-        return seconds(lambda: run(config, Silent()))
+        return seconds(lambda: run(config, ConsoleDisplay(Console(quiet=True), live=False)))
 
 
 def ril_together(rounds: int, epochs: int) -> tuple[str, float]:
