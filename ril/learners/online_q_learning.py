@@ -119,8 +119,9 @@ class OnlineQLearning:
             self.learner.priorities.add(slots)
         self._returns += step.rewards
         over = step.terminated | step.truncated
-        self._last_returns[over] = self._returns[over]
-        self._returns[over] = 0
+        if over.any():
+            self._last_returns[over] = self._returns[over]
+            self._returns[over] = 0
 
     def _choose(
         self, observations: Floats, exploring: NDArray[np.bool_], number: NDArray[np.float32]
