@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test lint install clean
+.PHONY: run test lint bench install clean
 
 run: install ## train RIL on MountainCar, 10 seeds
 	$(BIN)/ril-run env=mountaincar method=ril
@@ -14,6 +14,9 @@ lint: install ## style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+bench: install ## how fast it is, beside others; writes docs/performance.md
+	$(BIN)/python scripts/benchmark.py
 
 install: .venv/installed
 

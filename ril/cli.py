@@ -130,7 +130,8 @@ def _variant(composed: DictConfig) -> str:
     before, given = _values(usual), _values(composed)
     if given["demonstrations"] is not None:
         given["demonstrations"] = Path(given["demonstrations"]).name
-    aside = {"env.name", "method.epochs", "method.total_timesteps"}  # a label, and budgets
+    # A label, what changes no number, and budgets.
+    aside = {"env.name", "env.vectorized", "method.epochs", "method.total_timesteps"}
     aside |= {key for key, value in before.items() if value == "???"}  # of env=gym: its id
     apart = [key for key in given if key not in aside and given[key] != before.get(key)]
     return " ".join(f"{key}={given[key]}" for key in apart)

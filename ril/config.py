@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ril.errors import UserError
 from ril.schema import (
+    BCConfig,
     Config,
     OnlineQLearningConfig,
     ReinforcementConfig,
@@ -164,10 +165,14 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
     content = dataclasses.asdict(config)
     for key in _NOT_IN_RUN_ID:
         del content[key]
+    del content["env"]["vectorized"]  # is equal bit for bit
     content["demonstrations"] = demonstrations_sha256
-    compiles = isinstance(getattr(config.method, "q_learning", None), OnlineQLearningConfig)
-    if content["compile"] == "auto" or not compiles:
-        del content["compile"]  # of auto, rounding may differ between machines anyway
+    # Of auto, rounding may differ between machines anyway. Imitation alone is compiled only where
+    # it is asked for, or so long that nobody has run it.
+    online = isinstance(getattr(config.method, "q_learning", None), OnlineQLearningConfig)
+    imitates = isinstance(config.method, BCConfig) and config.compile is True
+    if config.compile == "auto" or not (online or imitates):
+        del content["compile"]
     for key in idle_ablations(config):
         del content["ablation"][key]
     canonical = json.dumps(content, sort_keys=True)

@@ -14,6 +14,7 @@ from ril.errors import UserError, one_line
 from ril.schema import EnvironmentConfig, GoalConfig
 
 Floats = NDArray[np.float32]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Environment:
     def scale(self, observations: NDArray[np.floating]) -> Floats:
         """Raw observations (..., observation_size) to about [−1, 1] (docs/deviations.md, D5)."""
         center, half = self._center_and_half
-        scaled: Floats = ((observations - center) / half).astype(np.float32)
+        scaled: Floats = ((observations - center) / half).astype(np.float32, copy=False)
         return scaled
 
     @cached_property

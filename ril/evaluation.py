@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats
+from ril.environments import Environment, Floats, Integers
 from ril.vectorized.networks import Network
-from ril.vectorized.rollout import Environments, Integers
+from ril.vectorized.rollout import Environments
 from ril.vectorized.streams import Streams
 
 _COPIES = 25  # environments per seed that are played side by side

@@ -28,6 +28,7 @@ class EnvironmentConfig:
     observation_low: list[float] | None = None
     observation_high: list[float] | None = None
     kwargs: dict[str, Any] = field(default_factory=dict)
+    vectorized: bool = True
 
 
 @dataclass

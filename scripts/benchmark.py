@@ -1,128 +1,86 @@
-"""How fast `method=dqn` trains ten seeds, beside Stable-Baselines3's DQN.
+"""How fast ril is: every comparison side by side, in turns; writes docs/performance.md's tables.
 
-    python scripts/benchmark.py
+    python scripts/benchmark.py            # a quarter of an hour on a quiet machine
+    python scripts/benchmark.py --quick    # two minutes, of everything but the projection
 
-Both have the same environment, network, batch, schedule and one thread, and take turns. Each
-side is timed from its first update on, without evaluations. A seed-step is an environment step
-of one seed: ten seeds trained together take ten at once, Stable-Baselines3 takes one.
+All of it is single-threaded and timed by processor time; figures are medians over rounds in which
+the sides take turns. A seed-step is an environment step of one seed: ten seeds trained together
+take ten at once, Stable-Baselines3 takes one.
 """
 
 from __future__ import annotations
 
 import argparse
 import platform
-import statistics
+import re
 import time
-from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import torch
-from matched_dqn import composed, stable_baselines_dqn
+from bench.growth import growth, start_up
+from bench.loops import SETTINGS, dqn, ril_together
+from bench.projection import projection
+from bench.updates import measured as updates
 from rich.console import Console
-from rich.table import Table
-from stable_baselines3.common.callbacks import BaseCallback
 
-from ril.demonstrations.trajectories import StateTransitions
-from ril.environments import load_environment
-from ril.methods.dqn import DQN
-from ril.schema import Config, DQNConfig
-from ril.task import Task
-
-BATCH = "method.q_learning.batch_size=64"
-EVERY_STEP = ("method.q_learning.train_freq=1", "method.q_learning.updates=1")
-EVERY_FOURTH = ("method.q_learning.train_freq=4", "method.q_learning.updates=1")
-MOUNTAINCAR = ("env=mountaincar", "method.network.hidden=[32,32]", BATCH)  # networks of §4.1
-CARTPOLE = ("env=cartpole", "method.network.hidden=[8,8]", BATCH)
-#: What is compared, by name, as overrides of `ril-run method=dqn`.
-SETTINGS = {
-    "MountainCar, 2 × 32, an update per step": (*MOUNTAINCAR, *EVERY_STEP),
-    "MountainCar, 2 × 32, an update per four steps": (*MOUNTAINCAR, *EVERY_FOURTH),
-    "CartPole, 2 × 8, an update per step": (*CARTPOLE, *EVERY_STEP),
-    "CartPole, 2 × 8, an update per four steps": (*CARTPOLE, *EVERY_FOURTH),
-    "MountainCar, 2 × 64, as method=dqn comes": ("env=mountaincar",),
-    "CartPole, 2 × 64, as method=dqn comes": ("env=cartpole",),
-}
-SEEDS = 10
-WARM_UP = 1000  # steps before the clock starts; updates begin half way through them
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "performance.md"
+_MEASURED = re.compile(r"(<!-- measured -->\n).*(<!-- end of measured -->)", re.DOTALL)
 
 
-def prepared(overrides: tuple[str, ...], steps: int) -> Config:
-    """The configuration of both sides."""
-    return composed(
-        "method=dqn",
-        *overrides,
-        f"method.q_learning.learning_starts={WARM_UP // 2}",
-        f"method.total_timesteps={WARM_UP + steps}",
-    )
-
-
-def ril_rate(config: Config, *, compiled: bool) -> float:
-    """Seed-steps per second of ten seeds together."""
-    assert isinstance(config.method, DQNConfig)
-    environment = load_environment(config.env)
-    expert = StateTransitions.none(environment)
-    device, seeds = torch.device("cpu"), tuple(range(SEEDS))
-    method = DQN(config.method, Task(environment, expert, seeds, config.ablation, device, compiled))
-    started, before = 0.0, 0
-    for progress in method.train():
-        taken = int(progress.env_samples[0])
-        if taken <= WARM_UP:
-            started, before = time.perf_counter(), taken
-    return SEEDS * (taken - before) / (time.perf_counter() - started)
-
-
-class _Clock(BaseCallback):
-    """Starts when the warm-up is over."""
-
-    started = 0.0
-
-    def _on_step(self) -> bool:
-        if self.num_timesteps == WARM_UP:
-            self.started = time.perf_counter()
-        return True
-
-
-def stable_baselines_rate(config: Config) -> float:
-    """Steps per second of one seed."""
-    assert isinstance(config.method, DQNConfig)
-    model = stable_baselines_dqn(config.method, load_environment(config.env), seed=0)
-    clock, total = _Clock(), config.method.total_timesteps
-    model.learn(total, clock)
-    return (total - WARM_UP) / (time.perf_counter() - clock.started)
+def machine() -> str:
+    """What it was measured on."""
+    cpuinfo = Path("/proc/cpuinfo")
+    found = re.search(r"model name\s*: (.*)", cpuinfo.read_text()) if cpuinfo.exists() else None
+    name = found[1] if found else platform.processor() or platform.machine()
+    return f"{name}, one thread, Python {platform.python_version()}, torch {version('torch')}"
 
 
 def main() -> None:
-    """Time every setting in turns and print the medians."""
+    """Measure, show, and write what docs/performance.md has between its two marks."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--rounds", type=int, default=3, help="of which medians are taken")
-    parser.add_argument("--steps", type=int, default=4000, help="timed, of each seed")
-    parser.add_argument("--output", type=Path, help="also write the table there, as Markdown")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds, no projection")
+    parser.add_argument("--rounds", type=int, help="of which medians are taken; 3, quick 1")
+    parser.add_argument("--sbx", type=Path, help="a Python that has sbx-rl installed")
+    parser.add_argument("--output", type=Path, default=PAGE, help="the page that is written to")
     arguments = parser.parse_args()
+    quick, rounds = arguments.quick, arguments.rounds or (1 if arguments.quick else 3)
     torch.set_num_threads(1)
-    lines = [
-        "| | Stable-Baselines3 | `method=dqn` | compiled | ratio | compiled |",
-        "|---" * 6 + "|",
-    ]
-    table = Table("seed-steps per second", "SB3", "ril", "ril compiled", "ratio", "compiled")
-    for name, overrides in SETTINGS.items():
-        config = prepared(overrides, arguments.steps)
-        sides: list[Callable[[], float]] = [
-            lambda config=config: stable_baselines_rate(config),
-            lambda config=config: ril_rate(config, compiled=False),
-            lambda config=config: ril_rate(config, compiled=True),
-        ]
-        rounds = [[side() for side in sides] for _ in range(arguments.rounds)]
-        theirs, eager, compiled = (statistics.median(side) for side in zip(*rounds, strict=True))
-        cells = [f"{rate:,.0f}" for rate in (theirs, eager, compiled)]
-        cells += [f"{rate / theirs:.1f}×" for rate in (eager, compiled)]
-        table.add_row(name, *cells)
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-        Console().print(f"{name}: {', '.join(cells)}")
-    Console().print(table)
-    machine = f"{platform.machine()}, torch {torch.__version__}, one thread each"
-    Console().print(machine)
-    if arguments.output:
-        arguments.output.write_text("\n".join(lines) + f"\n\n{machine}\n", encoding="utf-8")
+    started = time.monotonic()
+    console = Console(highlight=False)
+    parts = []
+
+    def show(title: str, measured: str, *targets: str) -> None:
+        parts.append(f"### {title}\n\n{measured}\n\n" + "".join(f"{line}\n\n" for line in targets))
+        console.print(parts[-1], markup=False, soft_wrap=True)
+
+    of_updates, ratio = updates(max(rounds, 3))
+    show("An update", of_updates, f"Ten compiled against one module each: {ratio:.1f}× (aim: 20×).")
+    of_dqn, _ = dqn(rounds, 1000 if quick else 3000, 2 if quick else len(SETTINGS), arguments.sbx)
+    show("Whole loops", of_dqn, "Aims, compiled: 20× at an update per step, 12× at one per four.")
+    of_ril, together = ril_together(rounds, 3 if quick else 10)
+    show("Seeds together", of_ril, f"{together:.1f}× (aim: 6×).")
+    of_start, helped = start_up(rounds)
+    show("Start-up", of_start, f"`--help`: {helped:.2f} s (aim: below 1.5 s).")
+    of_growth, memory = growth(quick)
+    show("As work grows", of_growth, f"RIL with ten seeds: {memory:,.0f} MB (aim: below 1 GB).")
+    if not quick:
+        of_paper, hours = projection()
+        show(
+            "The whole paper",
+            of_paper,
+            f"All cells of Tables 2 to 9 with ten seeds: {hours:.0f} hours of one core. Paces are "
+            "those of a run's beginning; later, episodes of CartPole and LunarLander are longer.",
+        )
+    told = f"{machine()}; {(time.monotonic() - started) / 60:.0f} minutes.\n\n"
+    page = arguments.output
+    text = page.read_text(encoding="utf-8") if page.exists() else ""
+    if not _MEASURED.search(text):
+        text += "<!-- measured -->\n<!-- end of measured -->\n"
+    measured = told + "".join(parts)
+    text = _MEASURED.sub(lambda marks: f"{marks[1]}{measured}{marks[2]}", text)
+    page.write_text(text, encoding="utf-8")
+    console.print(f"{told.strip()} Written to {page}")
 
 
 if __name__ == "__main__":

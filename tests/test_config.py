@@ -444,7 +444,7 @@ def test_run_id_is_ten_hexadecimal_digits(compose: Any) -> None:
     "override",
     [
         *("output_dir=elsewhere", "resume=false", "demonstrations=copy.npz", "processes=3"),
-        "logging=tensorboard",
+        *("logging=tensorboard", "env.vectorized=false"),
     ],
 )
 def test_run_id_does_not_depend_on_what_changes_no_number(compose: Any, override: str) -> None:
@@ -475,7 +475,8 @@ def leaves(node: Any, key: str = "") -> list[tuple[str, Any]]:
 def test_run_id_depends_on_every_other_key(compose: Any) -> None:
     plain = identifier(compose)
     for key, value in leaves(compose()):
-        if key in ("compile", "output_dir", "resume", "demonstrations", "processes", "logging"):
+        free = ("compile", "output_dir", "resume", "demonstrations", "processes", "logging")
+        if key in (*free, "env.vectorized"):
             continue
         config = compose()
         parent, _, name = key.rpartition(".")
@@ -499,6 +500,7 @@ def test_run_id_is_as_if_there_were_no_compilation_where_none_is_asked_for(compo
     content = dataclasses.asdict(config) | {"demonstrations": "0"}
     for key in ("output_dir", "resume", "compile", "processes", "logging"):
         del content[key]
+    del content["env"]["vectorized"]
     content["ablation"] = {"expert_return": None}
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     assert found == digest[:10]
@@ -539,6 +541,14 @@ def test_run_id_does_not_depend_on_how_a_value_was_chosen(compose: Any) -> None:
 
 
 def test_run_id_does_not_depend_on_compilation_where_nothing_is_compiled(compose: Any) -> None:
-    for method in ("ril", "bc", "ppo", "acktr"):
+    for method, compiled in (("ril", "false"), ("bc", "false"), ("ppo", "true"), ("acktr", "true")):
         usual = identifier(compose, f"method={method}")
-        assert identifier(compose, f"method={method}", "compile=true") == usual
+        assert identifier(compose, f"method={method}", f"compile={compiled}") == usual
+
+
+@pytest.mark.parametrize("method", ["ril", "iupe", "bc"])
+def test_run_id_of_imitation_depends_on_compilation_that_is_asked_for(
+    compose: Any, method: str
+) -> None:
+    usual = identifier(compose, f"method={method}")
+    assert identifier(compose, f"method={method}", "compile=true") != usual

@@ -184,7 +184,6 @@ ALLOWED = {
     ("provenance.py", "system"),  # platform.system
     ("cli.py", "run"),  # a cell
     ("loggers.py", "resolve_name"),  # a logger of the user's own, docs/logging.md
-    ("learners/fused_update.py", "compile"),
     ("vectorized/compiling.py", "compile"),  # torch.compile
 }
 SOURCES = sorted(Path(ril.__file__).parent.rglob("*.py"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ril.schema import CloningConfig
+from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import random_indices
@@ -23,13 +25,17 @@ class Cloning:
         policy: from obs features to |A| logits.
         config: `method.cloning`.
         streams: from which minibatches are drawn.
+        fused: whether each step is one compiled graph; the same but for rounding.
     """
 
-    def __init__(self, policy: Network, config: CloningConfig, streams: Streams) -> None:
+    def __init__(
+        self, policy: Network, config: CloningConfig, streams: Streams, *, fused: bool = False
+    ) -> None:
         self.policy = policy
         self.config = config
         self._streams = streams
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
+        self._descend = descent(self._optimizer, _loss, fused=fused)
 
     def train(self, observations: Tensor, labels: Tensor) -> Tensor:
         """Algorithm 1, line 9: minibatch steps of cross-entropy on the expert's states.
@@ -47,9 +53,8 @@ class Cloning:
         indices = random_indices(uniform, sizes).to(labels.device)
         total = torch.zeros(len(labels), device=labels.device)
         for chosen in indices.unbind(dim=1):
-            losses = cross_entropy(self.policy(observations[chosen]), labels.gather(1, chosen))
-            self._optimizer.step(losses)
-            total += losses.detach()
+            (losses,) = self._descend(observations[chosen], labels.gather(1, chosen))
+            total += losses.mean(dim=1)
         return total / updates
 
     def state_dict(self) -> dict[str, Any]:
@@ -60,3 +65,10 @@ class Cloning:
         """Go on from where `state_dict` was taken."""
         self._optimizer.load_state_dict(state["optimizer"])
         self._streams.load_state_dict(state["streams"])
+
+
+def _loss(
+    policy: Callable[[Tensor], Tensor], observations: Tensor, labels: Tensor
+) -> tuple[Tensor]:
+    """(S, B) cross-entropies at observations (S, B, obs) with labels (S, B)."""
+    return (cross_entropy(policy(observations), labels),)

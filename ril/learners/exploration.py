@@ -9,11 +9,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.environments import Floats
+from ril.environments import Floats, Integers
 from ril.schema import ExplorationConfig
 from ril.task import Task
 from ril.vectorized.networks import Network
-from ril.vectorized.rollout import Environments, Episodes, Integers
+from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.streams import Streams
 
 

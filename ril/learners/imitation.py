@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.environments import Floats, reaches_goal
+from ril.environments import Floats, Integers, reaches_goal
 from ril.errors import UserError
 from ril.learners.cloning import Cloning
 from ril.learners.exploration import exploration_ratio, sample_softmax
@@ -21,9 +21,10 @@ from ril.learners.stopping import StoppingRule
 from ril.learners.topology import mlp
 from ril.schema import GoalConfig, IUPEConfig
 from ril.task import Task
+from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
-from ril.vectorized.rollout import Environments, Episodes, Integers
+from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.streams import Streams
 
 _PRE_COPIES = 10  # environments per seed that fill I^pre side by side
@@ -57,10 +58,16 @@ class SelfSupervisedImitation:
             ),
             config.inverse_dynamics,
             Streams(seeds, "inverse dynamics batches"),
+            fused=worth_compiling(task.compile, config.epochs * config.inverse_dynamics.updates),
         )
         self.expert_states = torch.from_numpy(task.expert.observations).to(task.device)  # line 3
         self.expert_next = torch.from_numpy(task.expert.next_observations).to(task.device)
-        self.cloning = Cloning(policy, config.cloning, Streams(seeds, "cloning batches"))
+        self.cloning = Cloning(
+            policy,
+            config.cloning,
+            Streams(seeds, "cloning batches"),
+            fused=worth_compiling(task.compile, config.epochs * config.cloning.updates),
+        )
         capacity = config.goal_sampler.pre_steps_per_action * actions
         self.pre = Replay(len(seeds), capacity, size, task.device)
         self.pos = Replay(len(seeds), capacity, size, task.device)

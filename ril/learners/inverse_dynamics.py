@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor
 
 from ril.learners.goal_sampler import Selection
 from ril.schema import InverseDynamicsConfig
+from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import Batch, random_indices
@@ -23,13 +25,22 @@ class InverseDynamics:
         network: from 2·obs features to |A| logits.
         config: `method.inverse_dynamics`.
         streams: from which minibatches are drawn.
+        fused: whether each step is one compiled graph; the same but for rounding.
     """
 
-    def __init__(self, network: Network, config: InverseDynamicsConfig, streams: Streams) -> None:
+    def __init__(
+        self,
+        network: Network,
+        config: InverseDynamicsConfig,
+        streams: Streams,
+        *,
+        fused: bool = False,
+    ) -> None:
         self.network = network
         self.config = config
         self._streams = streams
         self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
+        self._descend = descent(self._optimizer, self._loss, fused=fused)
         features = network.parameters["linear0.weight"].shape[1]
         self._mean = torch.zeros(len(network.flat), 1, features, device=network.flat.device)
         self._deviation = torch.ones_like(self._mean)
@@ -58,10 +69,9 @@ class InverseDynamics:
         total = torch.zeros(len(indices), device=device)
         for update in range(updates):
             batch = selection.transitions.at(indices[:, update])
-            logits = self(batch.observations, batch.next_observations)
-            losses = cross_entropy(logits, batch.actions)
-            self._optimizer.step(losses)
-            total += losses.detach()
+            transitions = batch.observations, batch.next_observations, batch.actions
+            (losses,) = self._descend(*transitions, self._mean, self._deviation)
+            total += losses.mean(dim=1)
         return total / updates
 
     def __call__(self, observations: Tensor, next_observations: Tensor) -> Tensor:
@@ -74,6 +84,19 @@ class InverseDynamics:
         if self.config.inputs == "change":
             next_observations = next_observations - observations
         return torch.cat((observations, next_observations), dim=-1)
+
+    def _loss(
+        self,
+        network: Callable[[Tensor], Tensor],
+        observations: Tensor,
+        next_observations: Tensor,
+        actions: Tensor,
+        mean: Tensor,
+        deviation: Tensor,
+    ) -> tuple[Tensor]:
+        """(S, B) cross-entropies with actions (S, B); mean and deviation are (S, 1, n)."""
+        features = self._features(observations, next_observations)
+        return (cross_entropy(network((features - mean) / deviation), actions),)
 
     @torch.no_grad()
     def label(self, observations: Tensor, next_observations: Tensor) -> Tensor:

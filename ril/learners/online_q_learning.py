@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ril.environments import Floats
+from ril.environments import Floats, Integers
 from ril.errors import UserError
 from ril.learners.exploration import sample_softmax
 from ril.learners.q_learning import QLearning
@@ -18,7 +18,6 @@ from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay
-from ril.vectorized.rollout import Integers
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 
@@ -111,9 +110,7 @@ class OnlineQLearning:
     def _act(self, exploring: NDArray[np.bool_], number: NDArray[np.float32]) -> None:
         """One step of every seed's environment, remembered."""
         before = self._environments.observations
-        actions = self.policy.greedy(before)
-        if exploring.any():
-            actions = np.where(exploring, self._explored(before, number), actions)
+        actions = self._choose(before, exploring, number)
         step = self._environments.step(actions)
         slots = self.learner.replay.add(
             before, actions, step.rewards, step.next_observations, step.terminated
@@ -122,15 +119,24 @@ class OnlineQLearning:
             self.learner.priorities.add(slots)
         self._returns += step.rewards
         over = step.terminated | step.truncated
-        self._last_returns[over] = self._returns[over]
-        self._returns[over] = 0
+        if over.any():
+            self._last_returns[over] = self._returns[over]
+            self._returns[over] = 0
 
-    def _explored(self, observations: Floats, number: NDArray[np.float32]) -> Integers:
-        """(S,) actions by random numbers (S,) in [0, 1)."""
+    def _choose(
+        self, observations: Floats, exploring: NDArray[np.bool_], number: NDArray[np.float32]
+    ) -> Integers:
+        """(S,) actions: greedy, or, where exploring, by random numbers (S,) in [0, 1)."""
+        values = self.policy.infer(observations)[:, 0]
+        greedy: Integers = values.argmax(dim=-1).cpu().numpy()
+        if not exploring.any():
+            return greedy
         if self.kind == "uniform":
-            return (number * self._action_count).astype(np.int64)
-        logits = self.policy.infer(observations)[:, 0]
-        return sample_softmax(logits, torch.from_numpy(number).to(logits.device)).cpu().numpy()
+            other = (number * self._action_count).astype(np.int64)
+        else:
+            uniform = torch.from_numpy(number).to(values.device)
+            other = sample_softmax(values, uniform).cpu().numpy()
+        return np.where(exploring, other, greedy)
 
     def _beta(self) -> float:
         """β, which rises to 1 along a straight line (Schaul et al., 2015, §3.4)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.learners.fused_update import fused_step
 from ril.learners.td import td_errors, td_losses
 from ril.schema import TemporalDifferenceConfig
-from ril.vectorized.networks import Network
+from ril.vectorized.descent import descent
+from ril.vectorized.networks import Network, by_name
 from ril.vectorized.priorities import Priorities
-from ril.vectorized.replay import Replay, random_indices
+from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
@@ -51,10 +52,7 @@ class QLearning:
         self._streams = streams
         self._target = policy.copy() if config.target_interval else policy
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
-        self._fused = None
-        if fused:
-            networks = policy, self._target
-            self._fused = fused_step(*networks, self._optimizer, config, double=double)
+        self._descend = descent(self._optimizer, self._loss, fused=fused)
 
     def train(self, updates: int, beta: float = 1.0) -> Tensor:
         """Algorithm 1, line 13: minibatch steps of the temporal-difference loss.
@@ -68,6 +66,7 @@ class QLearning:
         """
         config, device = self.config, self.policy.flat.device
         uniform = self._streams.uniform(updates, config.batch_size)
+        memory = self.replay.everything()
         total = torch.zeros(len(uniform), device=device)
         for update in range(updates):
             if config.target_interval and self._optimizer.steps % config.target_interval == 0:
@@ -76,24 +75,39 @@ class QLearning:
             weights = None
             if self.priorities is not None:
                 weights = self.priorities.importance(slots, self.replay.sizes, beta)
-            errors = self._descend(slots, weights)
+            _, losses, errors = self._descend(self._target.flat, memory, slots, weights)
             if self.priorities is not None:
                 self.priorities.update(slots, errors)
-            total += td_losses(errors, config.loss).mean(dim=1)
+            total += losses.mean(dim=1)
         return total / max(updates, 1)
 
-    def _descend(self, slots: Tensor, weights: Tensor | None) -> Tensor:
-        """One step on the transitions in slots (S, B), each weighing so much; returns their δ."""
-        memory = self.replay.everything()
-        if self._fused is not None:
-            return self._fused(memory, slots, weights)
-        config = self.config
+    def _loss(
+        self,
+        policy: Callable[[Tensor], Tensor],
+        target: Tensor,
+        memory: Batch,
+        slots: Tensor,
+        weights: Tensor | None,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What is descended, the losses that this weighs, and the errors δ; each (S, B).
+
+        Args:
+            policy: observations to values.
+            target: (S, P) parameters of the target network.
+            memory: (S, N, …) all transitions.
+            slots: (S, B) those that are learnt from.
+            weights: (S, B) how much each counts; None is 1.
+        """
+        architecture, config = self.policy.architecture, self.config
         errors = td_errors(
-            self.policy, self._target, memory.at(slots), config.discount, double=self.double
+            policy,
+            lambda x: architecture.forward(by_name(architecture, target), x),
+            memory.at(slots),
+            config.discount,
+            double=self.double,
         )
         losses = td_losses(errors, config.loss)
-        self._optimizer.step((losses if weights is None else weights * losses).mean(dim=1))
-        return errors.detach()
+        return losses if weights is None else weights * losses, losses, errors
 
     def _draw(self, uniform: NDArray[np.float32]) -> Tensor:
         """(S, B) random numbers in [0, 1) to as many filled slots."""

@@ -14,6 +14,7 @@ from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
 from ril.schema import BCConfig
 from ril.task import Task
+from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.streams import Streams
 
 
@@ -30,7 +31,12 @@ class BC:
         self.epochs = config.epochs
         seeds = task.seeds
         self.policy = initial_policy(config.network, task)
-        self.cloning = Cloning(self.policy, config.cloning, Streams(seeds, "cloning batches"))
+        self.cloning = Cloning(
+            self.policy,
+            config.cloning,
+            Streams(seeds, "cloning batches"),
+            fused=worth_compiling(task.compile, config.epochs * config.cloning.updates),
+        )
         self._states = torch.from_numpy(task.expert.observations).to(task.device)
         actions = torch.from_numpy(task.expert.actions).to(task.device)
         self._actions = actions.expand(len(seeds), -1)

@@ -141,7 +141,7 @@ class ILPO:
             sizes = np.full(seeds, self.steps)
             chosen = random_indices(batches[:, step], sizes).to(device)
             logits = self.remapping(at(self._seen, chosen))
-            losses = cross_entropy(logits, at(self._taken, chosen))
+            losses = cross_entropy(logits, at(self._taken, chosen)).mean(dim=1)
             self._remapping_optimizer.step(losses)
             total += losses.detach()
         return total / steps

@@ -18,6 +18,7 @@ from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
 from ril.schema import RILConfig
 from ril.task import Task
+from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
@@ -48,6 +49,9 @@ class RIL:
             Replay(len(seeds), memory, size, task.device),
             config.q_learning,
             Streams(seeds, "replay batches"),
+            fused=worth_compiling(
+                task.compile, config.epochs * config.episodes * config.q_learning.updates
+            ),
         )
         self.explorer = Explorer(config.exploration, task, self.policy)
         self.epoch = 0

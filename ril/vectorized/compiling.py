@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import shutil
+import sys
 import sysconfig
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ril.errors import UserError
+from ril.errors import one_line
 
 #: Updates after which compiling, half a minute, has paid, whether of one seed or of ten at once:
 #: which other seeds there are is not to decide how a seed's numbers are rounded.
@@ -19,36 +21,57 @@ _WORTHWHILE = 100_000
 def worth_compiling(wanted: bool | str, updates: int) -> bool:
     """Whether to compile what is done so many times: as wanted, or where it pays if "auto".
 
-    Raises:
-        UserError: it is wanted, and torch finds no compiler.
+    Where it is, but torch would find no compiler, a line says so and it is not compiled.
     """
+    if not (wanted is True or (wanted == "auto" and updates >= _WORTHWHILE)):
+        return False
     candidates = [os.environ["CXX"]] if "CXX" in os.environ else ["g++", "clang++", "c++"]
     header = Path(sysconfig.get_path("include"), "Python.h")
-    possible = any(shutil.which(name) for name in candidates) and header.exists()
-    if wanted is True and not possible:
-        raise UserError(
-            f"compile=true: no C++ compiler found ({', '.join(candidates)}), or not {header}"
-        )
-    return possible if wanted is True else wanted == "auto" and possible and updates >= _WORTHWHILE
+    if any(shutil.which(name) for name in candidates) and header.exists():
+        return True
+    _say(f"no C++ compiler found ({', '.join(candidates)}), or not {header}")
+    return False
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function, compiled at its first call for the shapes it is then given.
 
-    It raises UserError if it cannot be: a compiler may be there and broken, or the disk be full.
+    All of it becomes one graph; what torch cannot take into that is an error.
     """
     import torch._dynamo
     import torch._inductor.config
 
     torch._dynamo.config.recompile_limit = 64  # of one function, by runs of other shapes
     torch._inductor.config.compile_threads = 1  # there is little to compile; start no workers
-    graph = torch.compile(function, fullgraph=True, dynamic=False)
+    # To look at each call whether a module's functions are still the same takes a tenth of it.
+    unchanging: dict[str, Any] = {"guard_filter_fn": torch.compiler.skip_guard_on_globals_unsafe}
+    return torch.compile(function, fullgraph=True, dynamic=False, options=unchanging)
+
+
+def unless_broken(whole: Callable[..., Any], eager: Callable[..., Any]) -> Callable[..., Any]:
+    """The first function, or, where its first call fails, the second, after a line that says so."""
+    chosen: list[Callable[..., Any]] = []
 
     def call(*arguments: Any) -> Any:
-        try:
-            return graph(*arguments)
-        except torch._dynamo.exc.TorchDynamoException as error:
-            said = str(error).partition("\n")[0]
-            raise UserError(f"compile: torch cannot ({said}); compile=false goes without") from None
+        if not chosen:
+            try:
+                answer = whole(*arguments)
+            except Exception as error:  # torch's own have no base of their own
+                _say(f"cannot compile here ({_cause(error)})")
+                chosen.append(eager)
+            else:
+                chosen.append(whole)
+                return answer
+        return chosen[0](*arguments)
 
     return call
+
+
+def _cause(error: Exception) -> str:
+    """An error's type and the beginning of its text."""
+    return f"{type(error).__name__}: {one_line(error)[:120]}"
+
+
+@functools.cache  # once, however many functions it is true of
+def _say(fault: str) -> None:
+    print(f"ril: {fault}; going on without, which is slower", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Losses of S networks: one number per seed."""
+"""Losses of S networks: one number per sample."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from torch.nn import functional
 
 
 def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
-    """Mean cross-entropy of each seed: logits (S, B, |A|) and labels (S, B) to (S,)."""
+    """Cross-entropy of each sample: logits (S, B, |A|) and labels (S, B) to (S, B)."""
     losses = functional.cross_entropy(logits.flatten(0, 1), labels.flatten(), reduction="none")
-    return losses.view(labels.shape).mean(dim=1)
+    return losses.view(labels.shape)

@@ -132,14 +132,17 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """Each seed's xW + b: (S, B, n), (S, n, m) and (S, 1, m) to (S, B, m).
 
     Where n or m is 1, a zero is put beside it: torch would multiply by a vector, and then it
-    rounds otherwise for one seed alone than for several.
+    rounds otherwise for one seed alone than for several. Within a compiled graph, where it costs
+    next to nothing, m is filled up to 16, which makes such a product more than twice as fast.
     """
     inputs, outputs = weight.shape[1:]
     if inputs == 1:
         x, weight = functional.pad(x, (0, 1)), functional.pad(weight, (0, 0, 0, 1))
-    if outputs == 1:
-        weight, bias = functional.pad(weight, (0, 1)), functional.pad(bias, (0, 1))
-        return torch.baddbmm(bias, x, weight)[..., :1]
+    least = 16 if torch.compiler.is_compiling() else 2
+    if outputs < least:
+        beside = 0, least - outputs
+        weight, bias = functional.pad(weight, beside), functional.pad(bias, beside)
+        return torch.baddbmm(bias, x, weight)[..., :outputs]
     return torch.baddbmm(bias, x, weight)
 
 
@@ -191,8 +194,10 @@ class Network:
     def __init__(self, architecture: Architecture, flat: Tensor) -> None:
         self.architecture = architecture
         self.flat = flat
-        views = by_name(architecture, flat)
-        self.parameters = {name: view.detach().requires_grad_() for name, view in views.items()}
+        self._views = by_name(architecture, flat)
+        self.parameters = {
+            name: view.detach().requires_grad_() for name, view in self._views.items()
+        }
 
     @classmethod
     def initialise(
@@ -229,7 +234,8 @@ class Network:
     def infer(self, observations: Floats) -> Tensor:
         """(S·N, obs) scaled observations, one seed's side by side, to (S, N, outputs)."""
         by_seed = torch.from_numpy(observations).to(self.flat.device)
-        return self(by_seed.view(len(self.flat), -1, observations.shape[-1]))
+        by_seed = by_seed.view(len(self.flat), -1, observations.shape[-1])
+        return self.architecture.forward(self._views, by_seed)  # no leaves of autograd, so cheaper
 
     def greedy(self, observations: Floats) -> NDArray[np.int64]:
         """Actions of the largest outputs: (S·N, obs) as for `infer`, to (S·N,)."""

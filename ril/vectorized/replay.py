@@ -59,12 +59,14 @@ class Replay:
         self.capacity = capacity
         self.sizes = np.zeros(seeds, dtype=np.int64)
         self._positions = np.zeros(seeds, dtype=np.int64)
-        shape = (seeds, capacity)
-        self.observations = torch.zeros(*shape, observation_size, device=device)
-        self.actions = torch.zeros(shape, dtype=torch.int64, device=device)
-        self.rewards = torch.zeros(shape, device=device)
-        self.next_observations = torch.zeros(*shape, observation_size, device=device)
-        self.terminated = torch.zeros(shape, device=device)
+        # A transition's numbers lie side by side: to draw one is to go to one place, not four.
+        size = observation_size
+        rows = torch.zeros(seeds, capacity, 2 * size + 2, device=device)
+        self.observations, self.next_observations = rows[..., :size], rows[..., size : 2 * size]
+        self.rewards, self.terminated = rows[..., -2], rows[..., -1]
+        self.actions = torch.zeros(seeds, capacity, dtype=torch.int64, device=device)
+        # The same memory for NumPy, which writes to it in a fifth of the time.
+        self._shared = [each.numpy() for each in self.everything() if each.is_cpu]
 
     def append(self, episodes: Episodes, keep: NDArray[np.bool_] | None = None) -> None:
         """Append whole episodes, the oldest transitions giving way.
@@ -109,11 +111,11 @@ class Replay:
         """
         slot = int(self._positions[0])
         columns = (observations, actions, rewards, next_observations, terminated)
-        for name, values in zip(self._FIELDS, columns, strict=True):
-            array: Tensor = getattr(self, name)
-            if array.is_cpu:
-                array.numpy()[:, slot] = values  # the same memory, for a fifth of the time
-            else:
+        if self._shared:
+            for shared, values in zip(self._shared, columns, strict=True):
+                shared[:, slot] = values
+        else:
+            for array, values in zip(self.everything(), columns, strict=True):
                 array[:, slot] = torch.from_numpy(values)
         self._positions[:] = (slot + 1) % self.capacity
         self.sizes = np.minimum(self.sizes + 1, self.capacity)

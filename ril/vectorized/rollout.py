@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats
+from ril.environments import Environment, Floats, Integers
+from ril.vectorized.copies import make_copies
 
-Integers = NDArray[np.int64]
 #: (K, obs) scaled observations and the step number to (K,) actions.
 Act = Callable[[Floats, int], Integers]
 
@@ -62,7 +62,8 @@ class Environments:
 
     def __init__(self, environment: Environment, copies: int) -> None:
         self.environment = environment
-        self._copies = [environment.make() for _ in range(copies)]
+        self._count = copies
+        self._copies = make_copies(environment, copies)
 
     def play(self, act: Act, reset_seeds: Integers, max_steps: int | None = None) -> Episodes:
         """Play one episode in each copy.
@@ -73,7 +74,7 @@ class Environments:
             max_steps: T, the step at which all episodes are cut; the environment's own limit
                 if None.
         """
-        count = len(self._copies)
+        count = self._count
         limit = max_steps or self.environment.max_episode_steps
         size = self.environment.observation_size
         states = np.zeros((limit + 1, count, size), dtype=np.float32)
@@ -82,29 +83,21 @@ class Environments:
         terminated = np.zeros((limit, count), dtype=bool)
         lengths = np.zeros(count, dtype=np.int64)
 
-        raw = np.zeros((count, size), dtype=np.float32)
-        for index, (copy, seed) in enumerate(zip(self._copies, reset_seeds, strict=True)):
-            raw[index] = copy.reset(seed=int(seed))[0]
-        states[0] = self.environment.scale(raw)
-        running = list(enumerate(self._copies))
+        for index, seed in enumerate(reset_seeds.tolist()):
+            self._copies.reset(index, seed)
+        states[0] = self.environment.scale(self._copies.observations)
+        running = np.arange(count)
         step = 0
-        while running and step < limit:
+        while running.size and step < limit:
             actions[step] = act(states[step], step)
-            chosen = actions[step].tolist()
-            going_on = []
-            for index, copy in running:
-                raw[index], reward, ended, cut, _ = copy.step(chosen[index])
-                rewards[step, index] = reward
-                terminated[step, index] = ended
-                if ended or cut:
-                    lengths[index] = step + 1
-                else:
-                    going_on.append((index, copy))
-            running = going_on
+            outcome = self._copies.step(running, actions[step, running])
+            rewards[step, running], ends, cuts = outcome
+            terminated[step, running] = ends
             step += 1
-            states[step] = self.environment.scale(raw)
-        for index, _ in running:
-            lengths[index] = step
+            lengths[running] = step
+            if ends.any() or cuts.any():
+                running = running[~(ends | cuts)]
+            states[step] = self.environment.scale(self._copies.observations)
 
         by_copy = np.ascontiguousarray(states[: step + 1].swapaxes(0, 1))
         return Episodes(

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats
-from ril.vectorized.rollout import Integers
+from ril.environments import Environment, Floats, Integers
+from ril.vectorized.copies import make_copies
 
 
 @dataclass(frozen=True)
@@ -51,53 +51,46 @@ class SteppedEnvironments:
         self, environment: Environment, seeds: Sequence[int], copies: int, purpose: str
     ) -> None:
         self.environment = environment
-        self._copies = [environment.make() for _ in range(len(seeds) * copies)]
         self._keys = [
             [seed, zlib.crc32(purpose.encode()), k] for seed in seeds for k in range(copies)
         ]
-        self._raw = np.zeros((len(self._copies), environment.observation_size), dtype=np.float32)
-        self._episodes = [0] * len(self._copies)
-        self._actions: list[list[int]] = [[] for _ in self._copies]
-        for index in range(len(self._copies)):
+        count = len(self._keys)
+        self._all = np.arange(count)
+        self._copies = make_copies(environment, count)
+        self._episodes = [0] * count
+        self._actions = np.zeros((environment.max_episode_steps, count), dtype=np.int64)
+        self._taken = np.zeros(count, dtype=np.int64)  # actions since the episode began
+        for index in range(count):
             self._begin(index)
-        self.observations = environment.scale(self._raw)
+        self.observations = environment.scale(self._copies.observations)
 
     def _begin(self, index: int) -> None:
         """Reset a copy to the start of its current episode."""
         sequence = np.random.SeedSequence([*self._keys[index], self._episodes[index]])
-        start = int(sequence.generate_state(1)[0] >> 1)
-        self._raw[index] = self._copies[index].reset(seed=start)[0]
-        self._actions[index] = []
+        self._copies.reset(index, int(sequence.generate_state(1)[0] >> 1))
+        self._taken[index] = 0
 
     def step(self, actions: Integers) -> Step:
         """Take (S·K,) actions; `observations` then are the states to act in next."""
-        rewards, ends, cuts = [], [], []
-        for index, action in enumerate(actions.tolist()):
-            self._raw[index], reward, ended, cut, _ = self._copies[index].step(action)
-            rewards.append(reward)
-            ends.append(ended)
-            cuts.append(cut)
-            self._actions[index].append(action)
-        terminated, truncated = np.array(ends, dtype=bool), np.array(cuts, dtype=bool)
-        following = self.environment.scale(self._raw)
+        self._actions[self._taken, self._all] = actions
+        self._taken += 1
+        rewards, terminated, truncated = self._copies.step(self._all, actions)
+        following = self.environment.scale(self._copies.observations)
         self.observations = following
-        if any(ends) or any(cuts):
-            for index in np.flatnonzero(terminated | truncated).tolist():
+        over = terminated | truncated
+        if over.any():
+            for index in np.flatnonzero(over).tolist():
                 self._episodes[index] += 1
                 self._begin(index)
-            self.observations = self.environment.scale(self._raw)
-        return Step(
-            following,
-            np.array(rewards, dtype=np.float32),
-            terminated,
-            truncated & ~terminated,
-        )
+            self.observations = self.environment.scale(self._copies.observations)
+        return Step(following, rewards, terminated, truncated & ~terminated)
 
     def state_dict(self) -> dict[str, Any]:
         """Which episode each copy is in, and how it came to where it is."""
+        taken = zip(self._actions.T, self._taken, strict=True)
         return {
             "episodes": list(self._episodes),
-            "actions": [list(actions) for actions in self._actions],
+            "actions": [actions[:count].tolist() for actions, count in taken],
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -105,7 +98,9 @@ class SteppedEnvironments:
         self._episodes = list(state["episodes"])
         for index, actions in enumerate(state["actions"]):
             self._begin(index)
-            for action in actions:
-                self._raw[index] = self._copies[index].step(action)[0]
-            self._actions[index] = list(actions)
-        self.observations = self.environment.scale(self._raw)
+            self._actions[: len(actions), index] = actions
+            self._taken[index] = len(actions)
+        for step in range(self._taken.max()):
+            going_on = np.flatnonzero(self._taken > step)
+            self._copies.step(going_on, self._actions[step, going_on])
+        self.observations = self.environment.scale(self._copies.observations)

@@ -48,14 +48,15 @@ class ClippedAdam:
         leaves = list(self.network.parameters.values())
         gradients = torch.autograd.grad(losses.sum(), leaves)
         gradient = torch.cat([g.reshape(len(g), -1) for g in gradients], dim=1)
-        mean_scale, square_scale = self.count_step()
+        mean_scale, square_scale = self.scales()
         change = self.change(gradient, square_scale)
         self.network.flat.addcdiv_(*change, value=-self.learning_rate / mean_scale)
-
-    def count_step(self) -> tuple[float, float]:
-        """One step more; what Adam divides its means by while they still remember their zeros."""
         self.steps += 1
-        return 1 - self.beta1**self.steps, math.sqrt(1 - self.BETA2**self.steps)
+
+    def scales(self) -> tuple[float, float]:
+        """What the next step divides its means by while they still remember their zeros."""
+        steps = self.steps + 1
+        return 1 - self.beta1**steps, math.sqrt(1 - self.BETA2**steps)
 
     def change(self, gradient: Tensor, square_scale: float | Tensor) -> tuple[Tensor, Tensor]:
         """Numerator and denominator, (S, P) each, of a step along a gradient (S, P)."""

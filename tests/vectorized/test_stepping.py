@@ -11,6 +11,7 @@ from states import assert_equal_states, copied
 
 from ril.environments import Environment, load_environment
 from ril.schema import EnvironmentConfig
+from ril.vectorized.copies import Copies, make_copies
 from ril.vectorized.stepping import Step, SteppedEnvironments
 
 NAMES = ("cartpole", "mountaincar", "lunarlander")
@@ -34,32 +35,25 @@ def assert_same_play(found: Any, expected: Any) -> None:
             np.testing.assert_array_equal(getattr(step, field), getattr(reference, field))
 
 
-class Recorded(gym.Wrapper):
-    """Remembers what it was reset with."""
-
-    def __init__(self, environment: gym.Env, resets: list[int]) -> None:
-        super().__init__(environment)
-        self.resets = resets
-
-    def reset(self, *, seed: int | None = None, **others: Any) -> Any:
-        assert seed is not None
-        self.resets.append(seed)
-        return super().reset(seed=seed, **others)
-
-
 def recorded(
     environment: Environment, monkeypatch: pytest.MonkeyPatch, seeds: tuple[int, ...], copies: int
 ) -> tuple[SteppedEnvironments, list[list[int]]]:
     """Stepped environments, and a list of each copy's reset seeds, which grows."""
-    resets: list[list[int]] = []
-    make = Environment.make
+    resets: list[list[int]] = [[] for _ in range(len(seeds) * copies)]
 
-    def making(self: Environment) -> gym.Env:
-        resets.append([])
-        return Recorded(make(self), resets[-1])
+    def recording(environment: Environment, count: int) -> Copies:
+        made = make_copies(environment, count)
+        reset = made.reset
+
+        def recorded_reset(index: int, seed: int) -> None:
+            resets[index].append(seed)
+            reset(index, seed)
+
+        monkeypatch.setattr(made, "reset", recorded_reset)
+        return made
 
     with monkeypatch.context() as patch:
-        patch.setattr(Environment, "make", making)
+        patch.setattr("ril.vectorized.stepping.make_copies", recording)
         return SteppedEnvironments(environment, seeds, copies, "tests"), resets
 
 
@@ -68,11 +62,11 @@ def test_each_copy_is_a_plain_loop(
     environments: dict[str, Environment], name: str, steps: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     environment = environments[name]
-    stepped, resets = recorded(environment, monkeypatch, (3, 5), copies=2)
-    actions = plan(environment, steps, 4)
+    stepped, resets = recorded(environment, monkeypatch, (3, 5), copies=3)
+    actions = plan(environment, steps, 6)
     played = play(stepped, actions)
     ends = 0
-    for index in range(4):
+    for index in range(6):
         copy, starts = gym.make(environment.config.id), iter(resets[index])
         state, _ = copy.reset(seed=next(starts))
         for (before, step), action in zip(played, actions[:, index], strict=True):

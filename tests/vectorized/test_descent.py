@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from collections.abc import Callable
 from typing import Any
@@ -10,12 +11,13 @@ import torch
 from states import copied
 from torch import Tensor
 
-from ril.errors import UserError
 from ril.learners.online_q_learning import OnlineQLearning
 from ril.learners.q_learning import QLearning
+from ril.methods.ril import RIL
 from ril.schema import Config, QLearningConfig
 from ril.task import Task
-from ril.vectorized.compiling import worth_compiling
+from ril.vectorized import compiling
+from ril.vectorized.compiling import compiled, worth_compiling
 from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay
@@ -140,6 +142,22 @@ def test_compiled_updates_follow_a_state_that_is_loaded(among: Any) -> None:
     torch.testing.assert_close(fused.policy.flat, eager.policy.flat, rtol=1e-4, atol=1e-5)
 
 
+@needs_compiler
+def test_compiled_imitation_is_the_eager_one_but_for_rounding(
+    quick: Any, make_task: Callable[[Config], Task]
+) -> None:
+    """One epoch of inverse dynamics (line 7) and cloning (line 9); Q-learning is above."""
+    config = quick("method=ril")
+    losses = []
+    for wanted in (False, True):
+        method = RIL(config.method, dataclasses.replace(make_task(config), compile=wanted))
+        method.imitation.generate_pre()
+        metrics, _ = method.imitation.train(limit=1.0)
+        losses.append(metrics)
+    for name in ("inverse_dynamics_loss", "cloning_loss"):
+        np.testing.assert_allclose(losses[1][name], losses[0][name], rtol=1e-4, err_msg=name)
+
+
 @pytest.fixture
 def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("CXX", raising=False)
@@ -170,23 +188,63 @@ def test_it_compiles_as_wanted_or_where_it_pays(wanted: Any, updates: int, compi
     assert worth_compiling(wanted, updates) is compiles
 
 
-@pytest.mark.parametrize("wanted", ["auto", False])
-@pytest.mark.usefixtures("no_compiler")
-def test_without_a_compiler_it_does_not(wanted: Any) -> None:
-    assert worth_compiling(wanted, LONG) is False
+@pytest.fixture
+def unsaid() -> None:
+    """What is said once only has not been said yet."""
+    compiling._say.cache_clear()
 
 
-@pytest.mark.usefixtures("no_compiler")
-def test_what_is_wanted_and_cannot_be_is_refused() -> None:
-    with pytest.raises(UserError, match=r"compile=true: no C\+\+ compiler found \(g\+\+, "):
-        worth_compiling(True, SHORT)
+@pytest.mark.parametrize("wanted", [True, "auto"])
+@pytest.mark.usefixtures("no_compiler", "unsaid")
+def test_without_a_compiler_it_does_not_and_says_so_once(
+    wanted: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert not any(worth_compiling(wanted, LONG) for _ in range(3))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("ril: no C++ compiler found (g++, clang++, c++)")
 
 
-@pytest.mark.usefixtures("a_compiler")
-def test_a_compiler_that_is_named_is_the_one_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("no_compiler", "unsaid")
+def test_without_a_compiler_nothing_is_said_where_none_is_wanted(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert not worth_compiling(False, LONG)
+    assert not worth_compiling("auto", SHORT)
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("a_compiler", "unsaid")
+def test_a_compiler_that_is_named_is_the_one_that_counts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("CXX", "nonsense")
-    with pytest.raises(UserError, match=r"no C\+\+ compiler found \(nonsense\)"):
-        worth_compiling(True, SHORT)
+    assert not worth_compiling(True, SHORT)
+    assert "no C++ compiler found (nonsense)" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("unsaid")
+def test_where_compiling_fails_it_goes_on_as_if_it_had_not_been_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: Any) -> None:
+        raise RuntimeError("C++ compile error\nand pages more of it")
+
+    monkeypatch.setattr("ril.vectorized.descent.compiled", lambda function: broken)
+    found = trained(learner(PLAIN, (3, 5), fused=True, full=False))
+    expected = trained(learner(PLAIN, (3, 5), fused=False, full=False))
+    assert all(map(torch.equal, found, expected))
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("ril: cannot compile here (RuntimeError: C++ compile error and pages")
+
+
+@needs_compiler
+def test_what_does_not_fit_into_one_graph_is_an_error() -> None:
+    def of_two_graphs(x: Tensor) -> Tensor:
+        torch._dynamo.graph_break()
+        return x + 1
+
+    with pytest.raises(Exception, match="graph_break"):
+        compiled(of_two_graphs)(torch.zeros(2))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ril.environments import Environment
+from ril.vectorized.classic_control import STEPS
+from ril.vectorized.copies import ArrayCopies, GymnasiumCopies, make_copies
+
+CLASSIC = ("cartpole", "mountaincar", "acrobot")
+COUNT = 20
+
+
+def plan(environment: Environment, steps: int) -> np.ndarray:
+    """(steps, copies) actions: each kept for as long as it takes to gain speed, or not at all."""
+    numbers = np.random.default_rng(0)
+    once = numbers.integers(environment.action_count, size=(steps // 12 + 1, COUNT))
+    kept = np.repeat(once, 12, axis=0)[:steps]
+    at_random = numbers.integers(environment.action_count, size=(steps, COUNT))
+    return np.where(np.arange(COUNT) % 2, kept, at_random)
+
+
+@pytest.mark.parametrize("name", CLASSIC)
+def test_arrays_are_gymnasium_bit_for_bit(environments: dict[str, Environment], name: str) -> None:
+    """20,000 transitions, among them starts, ends and cuts; some copies pause now and then."""
+    environment = environments[name]
+    arrays, reference = ArrayCopies(environment, COUNT), GymnasiumCopies(environment, COUNT)
+    both = arrays, reference
+    for index in range(COUNT):
+        for copies in both:
+            copies.reset(index, seed=index)
+    ended = cut = 0
+    for step, actions in enumerate(plan(environment, 1000)):
+        going = np.flatnonzero((np.arange(COUNT) + step) % 50)
+        found, expected = (copies.step(going, actions[going]) for copies in both)
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+            assert one.dtype == other.dtype
+        np.testing.assert_array_equal(arrays.observations, reference.observations)
+        _, ends, cuts = expected
+        ended, cut = ended + ends.sum(), cut + cuts.sum()
+        for index in going[ends | cuts].tolist():
+            for copies in both:
+                copies.reset(index, seed=1000 * step + index)
+    assert ended > 0
+    assert cut > 0 or name == "cartpole"  # which random actions do not keep up for 500 steps
+
+
+def test_an_episode_of_cartpole_is_cut_at_its_limit(cartpole: Environment) -> None:
+    copies = ArrayCopies(replace(cartpole, max_episode_steps=3), 1)
+    copies.reset(0, seed=0)
+    only = np.zeros(1, dtype=np.int64)
+    assert [copies.step(only, only)[2].item() for _ in range(3)] == [False, False, True]
+
+
+@pytest.mark.parametrize("name", [*CLASSIC, "lunarlander"])
+def test_many_copies_of_what_is_known_are_arrays(
+    environments: dict[str, Environment], name: str
+) -> None:
+    environment = environments[name]
+    assert isinstance(make_copies(environment, COUNT), ArrayCopies) is (name in CLASSIC)
+    assert (environment.config.id in STEPS) is (name in CLASSIC)
+
+
+@pytest.mark.parametrize(
+    ("changes", "count"),
+    [({"vectorized": False}, COUNT), ({"kwargs": {"goal_velocity": 0.04}}, COUNT), ({}, 2)],
+)
+def test_others_are_gymnasiums_own(
+    mountaincar: Environment, changes: dict[str, object], count: int
+) -> None:
+    changed = replace(mountaincar, config=replace(mountaincar.config, **changes))
+    assert isinstance(make_copies(changed, count), GymnasiumCopies)
