@@ -90,7 +90,7 @@ def _run(composed: DictConfig) -> None:
 
     console = Console(highlight=False)
     alone = HydraConfig.get().mode != RunMode.MULTIRUN
-    shown = ConsoleDisplay(console, live=alone and console.is_terminal)
+    shown = ConsoleDisplay(console, live=alone and console.is_terminal, alone=alone)
     logger = make_logger(config.logging, HydraConfig.get().runtime.choices["logging"])
     try:
         display = LoggedDisplay(shown, logger) if logger is not None else shown

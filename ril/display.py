@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
@@ -27,10 +28,12 @@ class ConsoleDisplay:
     Args:
         console: where to write.
         live: a panel that is redrawn, for terminals; otherwise a line every few seconds.
+        alone: a finished run has a table of its seeds; as one of a sweep's cells only a line.
     """
 
-    def __init__(self, console: Console, *, live: bool) -> None:
+    def __init__(self, console: Console, *, live: bool, alone: bool = True) -> None:
         self._console = console
+        self._is_alone = alone
         self._is_live = live
         self._live: Live | None = None
         self._bar = Progress(TextColumn("{task.description}"), BarColumn(None), expand=True)
@@ -114,40 +117,41 @@ class ConsoleDisplay:
     def finished(self, rows: Path, *, skipped: bool) -> None:
         """Show the rows, their mean beside the paper's number, and the folder."""
         frame, _ = load_results([rows.parent])
-        first = frame.iloc[0]
-        table = Table(
-            "seed",
-            "AER",
-            "± std",
-            "last",
-            "performance",
-            "samples to best",
-            "epochs",
-            title=f"{first.env} {first.method} {first.run_id}",
-        )
-        for column in table.columns:
-            column.justify = "right"
-        for row in frame.itertuples():
-            table.add_row(
-                str(row.seed),
-                f"{row.aer:.2f}",
-                f"{row.aer_std:.2f}",
-                f"{row.aer_last:.2f}",
-                f"{row.performance:.3f}",
-                f"{row.samples_to_best:,}",
-                str(row.epochs),
-            )
-        self._console.print(table)
         spread = f"{frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f}"
-        seeds = count(len(frame), "seed")
         performance = f"performance {frame.performance.mean():.3f}"
-        self._console.print(f"AER {spread} over {seeds}, {performance}")
+        found = f"AER {spread} over {count(len(frame), 'seed')}, {performance}"
         paper = paper_cell(frame)
+        if not self._is_alone:
+            beside = "" if paper is None else f"; the paper says {paper}"
+            self._console.print(f"{rows.parent}: {found}{beside}", soft_wrap=True)
+            return
+        self._console.print(_seeds(frame))
+        self._console.print(found)
         if paper is not None:
             self._console.print(f"the paper says {paper}", soft_wrap=True)
         if skipped:
             self._console.print("finished before, so not run again; resume=false runs it anew")
         self._console.print(str(rows.parent), soft_wrap=True)
+
+
+def _seeds(frame: pd.DataFrame) -> Table:
+    """The rows of one run."""
+    first = frame.iloc[0]
+    heads = ("seed", "AER", "± std", "last", "performance", "samples to best", "epochs")
+    table = Table(*heads, title=f"{first.env} {first.method} {first.run_id}")
+    for column in table.columns:
+        column.justify = "right"
+    for row in frame.itertuples():
+        table.add_row(
+            str(row.seed),
+            f"{row.aer:.2f}",
+            f"{row.aer_std:.2f}",
+            f"{row.aer_last:.2f}",
+            f"{row.performance:.3f}",
+            f"{row.samples_to_best:,}",
+            str(row.epochs),
+        )
+    return table
 
 
 def _facts(progress: base.Progress, record: Record) -> dict[str, str]:

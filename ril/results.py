@@ -246,7 +246,8 @@ def _read(
     }
     for what, names in problems.items():
         if names:
-            yield 0, f"{what} {reprlib.repr(', '.join(names))}"
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            yield 0, f"{what} {', '.join(map(reprlib.repr, names[:3]))}{more}"
             return
     if not any(lines[1:]):
         yield 0, "has no rows"

@@ -214,7 +214,7 @@ def test_the_report_reads_what_a_run_left(first: tuple[Path, Ended], results: Pa
     # The run's settings are not Table 2's, so its cell stays empty there.
     ended = shell(first[0], "ril-report", "table2")
     assert (ended.status, ended.errors) == (0, "")
-    assert "- RIL is not run on CartPole, Acrobot" in ended.output
+    assert "- not run: RIL on CartPole, Acrobot" in ended.output
 
 
 def test_the_report_shows_a_run_in_the_papers_setting(
@@ -224,8 +224,8 @@ def test_the_report_shows_a_run_in_the_papers_setting(
     [path] = tmp_path.rglob("results.csv")
     [row] = pd.read_csv(path).to_dict("records")
     ended = shell(tmp_path, "ril-report", "table2")
-    assert f"| AER, ours | {row['aer']:.2f} ± 0.00 (1 seed) | not run |" in ended.output
-    assert "- RIL on CartPole was run with 1 of 10 seeds and 1 of 150 epochs" in ended.output
+    assert f"| {row['aer']:.2f} ± 0.00 (1) " in ended.output
+    assert "- 1 of 10 seeds: RIL on CartPole\n- 1 of 150 epochs: RIL on CartPole\n" in ended.output
 
 
 @pytest.mark.parametrize(

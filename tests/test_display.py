@@ -20,12 +20,12 @@ from ril.methods.base import Progress
 from ril.record import Record
 
 
-def shown(config: Any, folder: Path, *, live: bool) -> str:
+def shown(config: Any, folder: Path, *, live: bool, alone: bool = True) -> str:
     """What a run writes on a terminal, or into a log file."""
     config.output_dir = str(folder)
     written = io.StringIO()
     console = Console(file=written, force_terminal=live, width=100, highlight=False)
-    display = ConsoleDisplay(console, live=live)
+    display = ConsoleDisplay(console, live=live, alone=alone)
     try:
         run(config, display)
     finally:
@@ -41,6 +41,16 @@ def test_a_run_ends_with_its_mean_and_its_folder(quick: Any, tmp_path: Path, liv
     mean, spread = rows["aer"].mean(), rows["aer"].std(ddof=0)
     assert lines[-1] == str(path.parent)
     assert any(line.startswith(f"AER {mean:.2f} ± {spread:.2f} over 2 seeds") for line in lines)
+
+
+def test_a_cell_of_a_sweep_ends_with_one_line(quick: Any, tmp_path: Path) -> None:
+    text = shown(quick("ablation.n=150"), tmp_path, live=False, alone=False)
+    [path] = tmp_path.rglob("results.csv")
+    aer = pd.read_csv(path)["aer"]
+    last = text.partition("scoring")[2].splitlines()[1:]
+    assert len(last) == 1
+    assert last[0].startswith(f"{path.parent}: AER {aer.mean():.2f} ± {aer.std(ddof=0):.2f} over")
+    assert "; the paper says 500.00 ± 0.00" in last[0]
 
 
 def test_a_log_has_a_line_for_the_last_epoch(quick: Any, tmp_path: Path) -> None:

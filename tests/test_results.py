@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 import time
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from ril.files import write_atomically
+from ril.files import WriteError, write_atomically
 from ril.results import CurvePoint, Row, load_curves, load_results, write_csv
 
 ROW = Row(
@@ -77,14 +78,14 @@ def test_an_interrupted_write_leaves_the_old_content_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     def interrupt(*_: object) -> None:
-        raise OSError("no space left on device")
+        raise OSError(errno.ENOSPC, "no space left on device")
 
     write_atomically(tmp_path / "file", b"old")
     if step == "fsync":
         monkeypatch.setattr(os, "fsync", interrupt)
     else:
         monkeypatch.setattr(Path, "replace", interrupt)
-    with pytest.raises(OSError, match="no space left"):
+    with pytest.raises(WriteError, match="no space left"):
         write_atomically(tmp_path / "file", b"new")
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"file": b"old"}
 
@@ -258,11 +259,11 @@ def test_a_line_of_another_length_is_left_out(
     [
         (b"", "is empty"),
         (b"\n", "is empty"),
-        (b"what,ever\n1,2\n", "has no column 'run_id, env,...conds, commit'"),
+        (b"what,ever\n1,2\n", "has no column 'run_id', 'env', 'method' and 19 more"),
         (b"\xff\xfe\x00", "is not text"),
         (bytes(range(256)), "is not text"),
-        (b"\x00" * 9, "has no column 'run_id, env,...conds, commit'"),
-        (b'"' * 200_000, "has no column 'run_id, env,...conds, commit'"),
+        (b"\x00" * 9, "has no column 'run_id', 'env', 'method' and 19 more"),
+        (b'"' * 200_000, "has no column 'run_id', 'env', 'method' and 19 more"),
     ],
 )
 def test_a_file_that_holds_no_rows_is_named(tmp_path: Path, content: bytes, why: str) -> None:
