@@ -131,14 +131,15 @@ def _texts(found: Finding) -> tuple[str, str, str, str]:
 def notes(content: Results) -> list[str]:
     """What falls short of the paper's seeds and budgets, is set aside, or runs what is missing."""
     remarks: dict[str, list[Setting]] = {}
-    for found in content.findings:
+    single = [found for found in content.findings if found.cell.setting.env in ENVIRONMENTS]
+    for found in single:
         for remark in (*found.short, *found.aside):
             remarks.setdefault(remark, []).append(found.cell.setting)
     said = [f"{remark}: {_places(settings)}" for remark, settings in remarks.items()]
-    missing = [found.cell.setting for found in content.findings if found.verdict == "not run"]
-    said += [
-        f"not run: {_places(together)}: `{command(together)}`" for together in _sweeps(missing)
-    ]
+    missing = _sweeps(found.cell.setting for found in single if found.verdict == "not run")
+    said += [f"not run: {_places(together)}: `{command(together)}`" for together in missing]
+    if len(missing) > 1:
+        said.append(f"all of them: `ril-run -m experiment={content.table.name}`")
     return said
 
 
@@ -146,8 +147,7 @@ def _sweeps(settings: Iterable[Setting]) -> list[list[Setting]]:
     """Settings in groups of which each is all combinations of its values, so one sweep runs it."""
     by_rest: dict[Setting, list[Setting]] = {}
     for setting in dict.fromkeys(settings):
-        if setting.env in ENVIRONMENTS:
-            by_rest.setdefault(replace(setting, env=""), []).append(setting)
+        by_rest.setdefault(replace(setting, env=""), []).append(setting)
     sweeps: dict[tuple[str, ...], list[Setting]] = {}
     for rest, together in by_rest.items():
         environments = (setting.env for setting in together)
@@ -159,6 +159,5 @@ def _places(settings: Iterable[Setting]) -> str:
     """Methods, each with its environments, in words."""
     where: dict[str, dict[str, None]] = {}
     for setting in settings:
-        env = ENVIRONMENTS.get(setting.env)
-        where.setdefault(setting.method, {}).update({env: None} if env else {})
-    return "; ".join(f"{method} on {', '.join(names)}" for method, names in where.items() if names)
+        where.setdefault(setting.method, {})[ENVIRONMENTS[setting.env]] = None
+    return "; ".join(f"{method} on {', '.join(names)}" for method, names in where.items())

@@ -49,11 +49,12 @@ def test_a_method_beyond_the_paper_has_its_lines() -> None:
 def test_what_is_not_run_is_told_with_one_command_a_method() -> None:
     told = notes(results("table2", evidence({"env": "nowhere"})))
     everywhere = "cartpole,acrobot,mountaincar,lunarlander"
-    assert told[-1] == (
+    assert told[-1] == "all of them: `ril-run -m experiment=table2`"
+    assert told[-2] == (
         "not run: RIL on CartPole, Acrobot, MountainCar, LunarLander: "
         f"`ril-run -m env={everywhere} method=ril`"
     )
-    assert len(told) == 7  # methods of the table
+    assert len(told) == 7 + 1  # methods of the table
 
 
 def test_a_sweep_runs_only_what_is_missing() -> None:
