@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 import hydra
 import yaml
+from hydra._internal.hydra import Hydra
 from hydra._internal.utils import get_args_parser
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
@@ -37,6 +38,9 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
         stopped: what to say if it is interrupted before it can say so itself.
     """
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra's own errors then reach the handlers below
+    if "--hydra-help" not in sys.argv:
+        # It lists all groups for a second, though no help text of ours has a place for that list.
+        Hydra.format_config_groups = lambda *_, **__: ""  # type: ignore[method-assign]
     parser = get_args_parser()
     parser.error = _refuse_flags  # type: ignore[method-assign]
     parser.parse_args()  # first, for Hydra says its usage besides what is wrong
