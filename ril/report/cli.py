@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from pathlib import Path
@@ -45,6 +46,8 @@ def main() -> None:
         sys.exit(f"ril-report: --outputs {', '.join(missing)}: no such folder")
 
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch's; on networks this small more are slower
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # ± in a locale that has none is no reason to fail
     from ril.errors import UserError
     from ril.report.write import Wanted, write
 

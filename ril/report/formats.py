@@ -1,13 +1,17 @@
-"""Tables as Markdown, LaTeX, or plain data."""
+"""Tables as Markdown, for a terminal, as LaTeX, or as plain data."""
 
 from __future__ import annotations
 
 import re
 
 import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
 
 from ril.report.layout import Grid, Results
 
+_VERDICT_STYLES = {"matches": "blue", "better": "green", "worse": "red", "not run": "dim"}
 _LATEX = {
     "π*": r"$\pi^*$",
     "±": r"$\pm$",
@@ -38,6 +42,21 @@ def as_markdown(grid: Grid) -> str:
     if grid.notes:
         text += ["", *(f"- {note}" for note in grid.notes)]
     return "\n".join(text) + "\n"
+
+
+def as_table(grid: Grid) -> Table:
+    """A table for a terminal."""
+    table = Table(title=grid.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    for number, name in enumerate(grid.head):
+        if number < grid.labels:
+            table.add_column(name, no_wrap=True)
+        else:
+            table.add_column(name, justify="right", overflow="fold")
+    for number, line in enumerate(grid.body):
+        if line[0] and number:
+            table.add_section()
+        table.add_row(*(Text(cell, _VERDICT_STYLES.get(cell, "")) for cell in line))
+    return table
 
 
 def as_latex(grid: Grid) -> str:

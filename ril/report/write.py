@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.markdown import Markdown
 
 from ril.errors import UserError
 from ril.files import write_atomically
 from ril.report import aggregates
 from ril.report.audit.contradictions import audit, contradictions_grid
 from ril.report.evidence import Evidence
-from ril.report.formats import as_csv, as_latex, as_markdown, grid_as_csv
-from ril.report.layout import Results, grid, results
+from ril.report.formats import as_csv, as_latex, as_markdown, as_table, grid_as_csv
+from ril.report.layout import Grid, Results, grid, results
 from ril.report.paper import TABLES
 from ril.report.provenance import runs
 
@@ -59,15 +58,22 @@ def write(wanted: Wanted) -> None:
             results(name, evidence, wanted.score) for name in wanted.targets if name in TABLES
         ]
     if wanted.form == "html":
-        _print(str(_page(wanted, evidence, tables, console)))
+        print(_page(wanted, evidence, tables, console))
         return
-    for text in _texts(wanted, evidence, tables):
-        _print(text, as_markdown=wanted.form == "md")
+    grids = _grids(wanted, evidence, tables)
+    if wanted.form == "csv" and tables:  # numbers as numbers, not as texts
+        print(as_csv(tables))
+        grids = [given for given in grids if given.name not in TABLES]
+    for given in grids:
+        if wanted.form == "md" and sys.stdout.isatty():
+            _show(given)
+        else:
+            print(_FORMATS[wanted.form](given))
     if any(name not in TABLES for name in wanted.targets):
         _save_figures(wanted, evidence, console)
 
 
-def _texts(wanted: Wanted, evidence: Evidence, tables: list[Results]) -> Iterator[str]:
+def _grids(wanted: Wanted, evidence: Evidence, tables: list[Results]) -> list[Grid]:
     """Tables for standard output."""
     grids = [grid(table) for table in tables]
     if "statistics" in wanted.targets:
@@ -75,11 +81,7 @@ def _texts(wanted: Wanted, evidence: Evidence, tables: list[Results]) -> Iterato
         grids.append(aggregates.statistics_grid(every))
     if wanted.audit:
         grids.append(contradictions_grid(audit()))
-    if wanted.form == "csv":  # numbers as numbers, not as texts
-        grids = [given for given in grids if given.name not in TABLES]
-        if tables:
-            yield as_csv(tables)
-    yield from (_FORMATS[wanted.form](given) for given in grids)
+    return grids
 
 
 def _save_figures(wanted: Wanted, evidence: Evidence, console: Console) -> None:
@@ -140,8 +142,10 @@ def _writable(folder: Path) -> Iterator[None]:
         raise UserError(f"--to {folder}: cannot be written ({error.strerror})") from None
 
 
-def _print(text: str, *, as_markdown: bool = False) -> None:
-    if as_markdown and sys.stdout.isatty():
-        Console().print(Markdown(text))
-    else:
-        print(text)
+def _show(given: Grid) -> None:
+    """A table on a terminal, with notes whose commands can be copied."""
+    terminal = Console(highlight=False)
+    terminal.print(as_table(given))
+    for note in given.notes:
+        terminal.print(f"• {note}", soft_wrap=True, markup=False)
+    terminal.print()

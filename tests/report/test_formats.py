@@ -14,9 +14,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from made_rows import ALONE, evidence
+from rich.console import Console
 
 from ril.report.evidence import Evidence
-from ril.report.formats import as_csv, as_latex, as_markdown, grid_as_csv
+from ril.report.formats import as_csv, as_latex, as_markdown, as_table, grid_as_csv
 from ril.report.layout import Grid, grid, results
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -116,6 +117,14 @@ def test_a_bar_in_a_text_does_not_end_a_markdown_cell() -> None:
 )
 def test_a_text_in_latex(text: str, latex: str) -> None:
     assert as_latex(plain(text)).splitlines()[8] == rf"RIL & {latex} \\"
+
+
+def test_a_terminal_shows_labels_whole_and_every_number() -> None:
+    written = io.StringIO()
+    Console(file=written, width=90).print(as_table(grid(results("table2", fixed()))))
+    shown = written.getvalue()
+    assert "ril_consistent" in shown
+    assert "-96.50 ±" in shown
 
 
 def test_a_comma_stays_within_its_csv_field() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -161,6 +162,14 @@ def test_a_reader_that_has_enough_ends_it_quietly(folder: Path) -> None:
     )
     assert done.stdout.startswith("**Table 2.")
     assert done.stderr == ""
+
+
+def test_a_locale_without_the_papers_signs_is_no_reason_to_fail(folder: Path) -> None:
+    command = [sys.executable, "-m", "ril.report.cli", "table2"]
+    poor = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, cwd=folder, env=poor, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"-105.00 ? 0.00 (2)" in done.stdout
 
 
 def test_tables_need_neither_torch_nor_matplotlib(folder: Path) -> None:
