@@ -62,6 +62,9 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
 
 
 def _refuse_flags(message: str) -> NoReturn:
+    rest = message.removeprefix("unrecognized arguments: ")
+    if rest != message and all("=" in each for each in rest.split()):
+        message = f"{rest}: give all key=value together, before the flags or after them"
     sys.exit(f"{Path(sys.argv[0]).stem}: {message}")
 
 
