@@ -177,8 +177,14 @@ def _files(folders: Sequence[Path], faults: list[_Fault]) -> list[Path]:
             faults.append((error.filename, 0, f"cannot be read ({error.strerror})"))
 
     found: dict[str, Path] = {}
+    seen: set[str] = set()
     for folder in folders:
-        for parent, below, names in os.walk(folder, onerror=refused):
+        for parent, below, names in os.walk(folder, onerror=refused, followlinks=True):
+            real = os.path.realpath(parent)  # a link may lead back to where it stands
+            if real in seen:
+                below.clear()
+                continue
+            seen.add(real)
             if "results.csv" in (*below, *names):
                 file = Path(parent) / "results.csv"
                 found.setdefault(os.path.realpath(file), file)

@@ -41,9 +41,12 @@ def main() -> None:
     unknown = [target for target in targets if target not in TARGETS]
     if unknown:
         sys.exit(f"ril-report: {unknown[0]}: unknown, choose of {', '.join(TARGETS)}")
-    missing = [str(folder) for folder in arguments.outputs or [] if not folder.is_dir()]
+    # Path.is_dir raises where one may not look.
+    is_folder = os.path.isdir
+    missing = [str(folder) for folder in arguments.outputs or [] if not is_folder(folder)]
     if missing:
-        sys.exit(f"ril-report: --outputs {', '.join(missing)}: no such folder")
+        ordered = "; give it before --outputs" if missing[0] in TARGETS else ""
+        sys.exit(f"ril-report: --outputs {', '.join(missing)}: no such folder{ordered}")
 
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch's; on networks this small more are slower
     if isinstance(sys.stdout, io.TextIOWrapper):

@@ -94,7 +94,7 @@ def _curves(evidence: Evidence, score: str) -> Figure | None:
         for name, quantity in (("table3", "samples_to_best"), ("table2", "aer"))
     )
     stars = {env: (samples[env], returns[env]) for env in ENVIRONMENTS}
-    return learning_curves(curves, _references(evidence), stars, best_so_far=True)
+    return learning_curves(curves, _references(evidence), stars, best_so_far=score == "best")
 
 
 def _sensitivity(name: str, axis: str, words: str) -> Callable[[Evidence, str], Figure]:
@@ -209,9 +209,11 @@ DRAWINGS: dict[str, tuple[Drawing, ...]] = {
         Drawing(
             "curves",
             "Learning curves",
-            "Return against samples as §5.2.2 counts them, from one expert trajectory or rewards "
-            "alone; means over seeds and their 95 % intervals. The star is what the paper says "
-            "of RIL.",
+            "Return of each seed's best look so far (with --score last, of its last) against "
+            "samples as §5.2.2 counts them, from one expert trajectory or rewards alone; means "
+            "over seeds and their 95 % intervals. A look is of few episodes and the best of many "
+            "is lucky, so lines may end above the tables' returns, which are of fresh episodes. "
+            "The star is what the paper says of RIL.",
             _curves,
         ),
     ),

@@ -105,11 +105,13 @@ def fullest(rows: pd.DataFrame) -> pd.DataFrame:
 
 def shortfall(rows: pd.DataFrame, table: Table, method: str) -> tuple[str, ...]:
     """In what a setting's rows fall short of a table's seeds and the method's budget, in words."""
-    wanted = {"seeds": table.seeds, **table.budget.get(method, {})}
+    beyond = rows["method"].iloc[0] not in known_methods()  # such are given what RIL is
+    budget = table.budget.get("RIL" if beyond else method, {})
+    wanted = {"seeds": table.seeds, **budget}
     names = dict.fromkeys(("env_samples", "total_timesteps"), "environment steps")
     short = []
     for what, full in wanted.items():
-        have = len(rows) if what == "seeds" else int(rows[what].fillna(0).max())
+        have = len(rows) if what == "seeds" else int(rows[what].fillna(0).min())
         if have < full:
             short.append(f"{have:,} of {full:,} {names.get(what, what)}")
     return tuple(short)

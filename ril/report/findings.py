@@ -41,7 +41,8 @@ class Finding:
         mean: of the values; None if there are none.
         spread: standard deviation of the values; of an average, over environments, as the paper's.
         interval: 95 % bootstrap interval of the mean over seeds; None for a single one.
-        verdict: one of `VERDICTS`; "" where the paper has no number.
+        verdict: one of `VERDICTS`; "" where the paper has no number, or ours is of the set-up, or
+            of a run that is shorter than the paper's number of samples.
         short: in what fewer than the paper's, in words: "3 of 10 seeds".
         aside: which runs of the same setting do not count here, in words.
         command: what fills the cell, or would again.
@@ -63,7 +64,8 @@ class Finding:
     def counts(self) -> bool:
         """Whether the headline counts it: P repeats AER, and references are not learnt."""
         return (
-            self.cell.mean is not None
+            self.verdict != ""
+            and self.cell.mean is not None
             and self.cell.quantity in ("aer", "samples_to_best")
             and self.cell.setting.method not in REFERENCES
         )
@@ -94,7 +96,15 @@ def find(cell: Cell, evidence: Evidence, score: str = "best") -> Finding:
     values = _values(cell, rows, evidence, score)
     if not len(values):  # no seed ever got there
         return Finding(cell, verdict="" if cell.mean is None else "worse", **known)
+    if cell.quantity == "samples_to_best" and _most_samples(rows) < (cell.mean or 0):
+        known["short"] += ("too short for the paper's number of samples",)
+        return replace(_measured(cell, values, **known), verdict="")
     return _measured(cell, values, **known)
+
+
+def _most_samples(rows: pd.DataFrame) -> float:
+    """Samples of the seed that has most, at its end."""
+    return float((rows["env_samples"] + rows["expert_samples"]).max())
 
 
 def _measured(cell: Cell, values: Values, **known: Any) -> Finding:
@@ -147,7 +157,8 @@ def verdict(cell: Cell, mean: float, interval: tuple[float, float] | None) -> st
     It matches if the paper's number lies in our interval, or ours within the paper's ±; both
     up to the paper's rounding. More return is better; fewer samples and less divergence are.
     """
-    if cell.mean is None or cell.quantity == "expert_samples":  # which describe the set-up
+    is_set_up = cell.quantity == "expert_samples" or cell.setting.method in REFERENCES
+    if cell.mean is None or is_set_up:
         return ""
     rounding = _ROUNDING.get(cell.quantity, 5e-3)
     low, high = interval or (mean, mean)

@@ -20,6 +20,11 @@ _LATEX = {
     "₂": r"$_2$",
     "*": r"$^*$",
     "−": r"$-$",
+    "≈": r"$\approx$",
+    "×": r"$\times$",
+    "≤": r"$\leq$",
+    "≥": r"$\geq$",
+    "–": "--",
     "§": r"\S{}",
     "\\": r"\textbackslash{}",
     "^": r"\textasciicircum{}",
@@ -76,7 +81,9 @@ def as_latex(grid: Grid) -> str:
         if line[0] and number:
             text.append(r"\addlinespace")
         text.append(_latex_line(line))
-    return "\n".join([*text, r"\bottomrule", r"\end{tabular}", r"\end{table}"]) + "\n"
+    text += [r"\bottomrule", r"\end{tabular}"]
+    text += [rf"\par\footnotesize {_escaped(note)}" for note in grid.notes]
+    return "\n".join([*text, r"\end{table}"]) + "\n"
 
 
 def _latex_line(cells: list[str]) -> str:
@@ -84,7 +91,8 @@ def _latex_line(cells: list[str]) -> str:
 
 
 def _escaped(text: str) -> str:
-    return _LATEX_SPECIAL.sub(lambda found: _LATEX[found[0]], text)
+    signed = re.sub(r"(?<!\S)-(?=\d)", "−", text)
+    return _LATEX_SPECIAL.sub(lambda found: _LATEX[found[0]], signed)
 
 
 def grid_as_csv(grid: Grid) -> str:
@@ -101,7 +109,8 @@ def as_csv(contents: list[Results]) -> str:
             **vars(found.cell.setting),
             "mean": found.mean,
             "std": found.spread,
-            "seeds": len(found.values),
+            "score": content.score,
+            "seeds": None if found.cell.setting.env == "average" else len(found.values),
             "low": found.interval[0] if found.interval else None,
             "high": found.interval[1] if found.interval else None,
             "paper_mean": found.cell.mean,

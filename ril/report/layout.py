@@ -19,7 +19,7 @@ _DIGITS = {
     "agreement_of_cells": 2,
 }
 _LINES = ("ours", "95 %", "paper", "verdict")
-_LEGEND = "ours: mean ± standard deviation over seeds (number of seeds)"
+_LEGEND = "ours: mean ± standard deviation over seeds (number of seeds), {} policies"
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,12 @@ class Results:
 
     Attributes:
         table: labels and cells.
+        score: of each run's "best" or "last" policy.
         rows: labels down, each with its findings across; None where the table has nothing.
     """
 
     table: Table
+    score: str
     rows: tuple[tuple[tuple[str, ...], tuple[Finding | None, ...]], ...]
 
     @property
@@ -74,7 +76,7 @@ def results(name: str, evidence: Evidence, score: str = "best") -> Results:
         (labels, tuple(None if cell is None else find(cell, evidence, score) for cell in cells))
         for labels, cells in chosen.rows
     )
-    return Results(chosen, tuple(rows))
+    return Results(chosen, score, tuple(rows))
 
 
 def number(quantity: str, mean: float | None, spread: float | None = None) -> str:
@@ -120,7 +122,7 @@ def grid(content: Results) -> Grid:
             if any(texts):
                 shown = labels if position == 0 else ("",) * len(labels)
                 body.append([*shown, name, *texts])
-    title = f"{caption(reported)}; {_LEGEND}"
+    title = f"{caption(reported)}; {_LEGEND.format(content.score)}"
     return Grid(reported.name, title, len(reported.head) + 1, head, body, notes(content))
 
 

@@ -6,6 +6,7 @@ from a fixed seed: intervals are the same in every report, and cost a matrix pro
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -98,7 +99,10 @@ def aggregate(by_env: Mapping[str, ArrayLike]) -> Aggregate:
 def _aggregates(runs: Sequence[_Floats]) -> _Floats:
     """The four fields of `Aggregate`, (4, resamples), of (resamples, seeds) per environment."""
     means = np.stack([values.mean(axis=1) for values in runs])
-    pooled = np.concatenate(runs, axis=1)
+    # Where one environment has more seeds, each of them counts less.
+    common = math.lcm(*(values.shape[1] for values in runs))
+    repeated = [np.repeat(values, common // values.shape[1], axis=1) for values in runs]
+    pooled = np.concatenate(repeated, axis=1)
     iqm = stats.trim_mean(pooled, 0.25, axis=1)
     gap = np.maximum(0, 1 - pooled).mean(axis=1)
     return np.stack([means.mean(axis=0), np.median(means, axis=0), iqm, gap])

@@ -51,6 +51,9 @@ def write(wanted: Wanted) -> None:
     console = Console(stderr=True, highlight=False)
     with console.status("reading rows"):
         evidence = Evidence.of(wanted.outputs)
+    if evidence.rows.empty:
+        where = ", ".join(map(str, wanted.outputs))
+        console.print(f"no rows below {where}", soft_wrap=True, markup=False)
     for line in evidence.left_out:
         console.print(f"left out: {line}", soft_wrap=True, markup=False)
     with console.status("comparing with the paper"):
@@ -63,13 +66,13 @@ def write(wanted: Wanted) -> None:
     grids = _grids(wanted, evidence, tables)
     if wanted.form == "csv" and tables:  # numbers as numbers, not as texts
         print(as_csv(tables))
-        grids = [given for given in grids if given.name not in TABLES]
+        grids = []  # what has other columns is asked for by itself
     for given in grids:
         if wanted.form == "md" and sys.stdout.isatty():
             _show(given)
         else:
             print(_FORMATS[wanted.form](given))
-    if any(name not in TABLES for name in wanted.targets):
+    if wanted.form != "csv" and any(name not in TABLES for name in wanted.targets):
         _save_figures(wanted, evidence, console)
 
 

@@ -16,6 +16,7 @@ import pytest
 from made_rows import ALONE, evidence
 from rich.console import Console
 
+from ril.report.audit.contradictions import audit, contradictions_grid
 from ril.report.evidence import Evidence
 from ril.report.formats import as_csv, as_latex, as_markdown, as_table, grid_as_csv
 from ril.report.layout import Grid, grid, results
@@ -134,6 +135,7 @@ def test_a_comma_stays_within_its_csv_field() -> None:
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no TeX here")
 def test_latex_compiles(tmp_path: Path) -> None:
     text = (GOLDEN / "tables.tex").read_text(encoding="utf-8")
+    text += as_latex(contradictions_grid(audit()))
     document = [r"\documentclass[a3paper]{article}\usepackage{booktabs}\begin{document}", text]
     (tmp_path / "tables.tex").write_text("\n".join([*document, r"\end{document}"]))
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "tables.tex"]

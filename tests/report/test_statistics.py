@@ -45,7 +45,8 @@ def plain_aggregates(runs: dict[str, list[float]]) -> tuple[float, float, float,
     means = sorted(plain_mean(values) for values in runs.values())
     half = len(means) // 2
     median = means[half] if len(means) % 2 else (means[half - 1] + means[half]) / 2
-    pooled = sorted(value for values in runs.values() for value in values)
+    every = math.lcm(*map(len, runs.values()))  # each environment counts the same
+    pooled = sorted(v for vs in runs.values() for v in vs for _ in range(every // len(vs)))
     cut = len(pooled) // 4
     middle = pooled[cut : len(pooled) - cut]
     gap = plain_mean([1 - value if value < 1 else 0.0 for value in pooled])
@@ -185,6 +186,12 @@ def test_an_aggregate_of_one_seed_has_no_interval() -> None:
 def test_an_aggregate_needs_runs(runs: dict[str, list[float]]) -> None:
     with pytest.raises(ValueError, match="needs a run"):
         aggregate(runs)
+
+
+def test_an_environment_with_fewer_seeds_counts_as_much() -> None:
+    found = aggregate({"a": [1.0] * 10, "b": [0.0] * 2})
+    assert found.optimality_gap[0] == pytest.approx(1 - found.mean[0])
+    assert found.iqm[0] == pytest.approx(0.5)
 
 
 def test_the_expert_has_no_optimality_gap() -> None:

@@ -68,7 +68,8 @@ def learning_curves(
             axes.plot(*paper[env], zorder=6, **_PAPER)
         axes.set_title(title, loc="left")
     figure.supxlabel("samples", fontsize=8)
-    figure.supylabel("return: mean over seeds, 95 % bootstrap interval", fontsize=8)
+    looked = "best look so far" if best_so_far else "look"
+    figure.supylabel(f"return of the {looked}: mean over seeds, 95 % interval", fontsize=8)
     lines = {"random": _RANDOM, "expert": _EXPERT, "solved": _SOLVED, "RIL in the paper": _PAPER}
     ours = {method: _line(method) for method in dict.fromkeys(curves["method"])}
     figure.legend(
