@@ -49,6 +49,10 @@ def write(wanted: Wanted) -> None:
         UserError: a file cannot be written.
     """
     console = Console(stderr=True, highlight=False)
+    has_figures = wanted.form != "csv" and any(name not in TABLES for name in wanted.targets)
+    if has_figures or wanted.form == "html":
+        with _writable(wanted.to):
+            pass  # said before anything is worked out
     with console.status("reading rows"):
         evidence = Evidence.of(wanted.outputs)
     if evidence.rows.empty:
@@ -72,7 +76,7 @@ def write(wanted: Wanted) -> None:
             _show(given)
         else:
             print(_FORMATS[wanted.form](given))
-    if wanted.form != "csv" and any(name not in TABLES for name in wanted.targets):
+    if has_figures:
         _save_figures(wanted, evidence, console)
 
 
