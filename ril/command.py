@@ -12,7 +12,9 @@ from typing import Any, NoReturn
 
 import hydra
 import yaml
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.utils import get_args_parser
+from hydra.core.object_type import ObjectType
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
@@ -25,6 +27,7 @@ MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError, yaml.YAM
 #: Groups whose choices may be sweeps.
 SWEEP_GROUPS = ("experiment=", "ablation=")
 _LAUNCHERS = {"ray": "ray", "submitit": "slurm"}  # by the extra that they come with
+_COPYING = ConfigLoaderImpl.get_group_options
 _TRACEBACK_WANTED = "HYDRA_FULL_ERROR" in os.environ
 
 
@@ -40,6 +43,8 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
     parser = get_args_parser()
     parser.error = _refuse_flags  # type: ignore[method-assign]
     parser.parse_args()  # first, for Hydra says its usage besides what is wrong
+    # Of which --help asks for more than a hundred.
+    ConfigLoaderImpl.get_group_options = _group_options  # type: ignore[assignment]
     folder = str(config_folder())
     try:
         hydra.main(version_base="1.3", config_path=folder, config_name=config_name)(job)()
@@ -55,6 +60,18 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
         refuse(error)  # group=null, or two flags
     except KeyboardInterrupt:
         sys.exit(stopped)
+
+
+def _group_options(
+    loader: ConfigLoaderImpl,
+    group_name: str,
+    results_filter: ObjectType | None = ObjectType.CONFIG,
+    **composed: Any,
+) -> list[str]:
+    """A group's choices; where they depend on nothing composed, without copying everything."""
+    if composed:
+        return _COPYING(loader, group_name, results_filter, **composed)
+    return loader.repository.get_group_options(group_name, results_filter)
 
 
 def _refuse_flags(message: str) -> NoReturn:
