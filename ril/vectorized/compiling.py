@@ -34,18 +34,29 @@ def worth_compiling(wanted: bool | str, updates: int) -> bool:
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function, compiled at its first call for the shapes it is then given.
+    """The same function of tensors, compiled at its first call for the shapes it is then given.
 
-    All of it becomes one graph; what torch cannot take into that is an error.
+    All of it becomes one graph; what torch cannot take into that is an error, and so are other
+    shapes later.
     """
-    import torch._dynamo
     import torch._inductor.config
 
-    torch._dynamo.config.recompile_limit = 64  # of one function, by runs of other shapes
     torch._inductor.config.compile_threads = 1  # there is little to compile; start no workers
-    # To look at each call whether a module's functions are still the same takes a tenth of it.
-    unchanging: dict[str, Any] = {"guard_filter_fn": torch.compiler.skip_guard_on_globals_unsafe}
-    return torch.compile(function, fullgraph=True, dynamic=False, options=unchanging)
+    # Whoever holds the graph calls it in one way, so torch need not look at each call, for a fifth
+    # of its time, whether it still is the right one.
+    options: dict[str, Any] = {"guard_filter_fn": lambda guards: [False] * len(guards)}
+    options["cpp_wrapper"] = True  # what calls the kernels is compiled too
+    lazily: Any = torch.compile(function, fullgraph=True, dynamic=False, options=options)
+    graphs: list[Callable[..., Any]] = []
+
+    def call(*arguments: Any) -> Any:
+        if not graphs:
+            graph = lazily.aot_compile((arguments, {}))
+            graph.disable_guard_check()
+            graphs.append(graph)
+        return graphs[0](*arguments)
+
+    return call
 
 
 def unless_broken(whole: Callable[..., Any], eager: Callable[..., Any]) -> Callable[..., Any]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,7 +17,7 @@ def broken(*_: Any, **__: Any) -> Any:
     def fails(*_: Any) -> None:
         raise TorchDynamoException("OSError: No space left on device\n\nSet …")
 
-    return fails
+    return SimpleNamespace(aot_compile=fails)
 
 
 def test_a_function_that_torch_cannot_compile_goes_on_as_it_is_after_a_line(
@@ -31,3 +32,10 @@ def test_a_function_that_torch_cannot_compile_goes_on_as_it_is_after_a_line(
         "ril: cannot compile here (TorchDynamoException: OSError: No space left on device Set …); "
         "going on without, which is slower\n"
     )
+
+
+def test_a_graph_refuses_other_shapes_than_its_first() -> None:
+    function = compiled(torch.add)
+    function(torch.ones(4, 8), torch.ones(4, 8))
+    with pytest.raises((AssertionError, RuntimeError), match=r"size|shape"):
+        function(torch.ones(4, 6), torch.ones(4, 6))
