@@ -11,10 +11,7 @@ def config_folder() -> Path:
     Raises:
         FileNotFoundError: neither is there, so the installation is broken.
     """
-    for folder in (_PACKAGE / "conf", _PACKAGE.parent / "conf"):
-        if (folder / "env").is_dir():
-            return folder
-    raise FileNotFoundError(f"no configuration beside {_PACKAGE}; install ril again")
+    return _shipped("conf", "env", "configuration")
 
 
 def docs_folder() -> Path:
@@ -23,7 +20,12 @@ def docs_folder() -> Path:
     Raises:
         FileNotFoundError: neither is there, so the installation is broken.
     """
-    for folder in (_PACKAGE / "docs", _PACKAGE.parent / "docs"):
-        if (folder / "deviations.md").is_file():
+    return _shipped("docs", "deviations.md", "documentation")
+
+
+def _shipped(name: str, holds: str, what: str) -> Path:
+    """A folder of that name, within the package or beside it, that holds what it should."""
+    for folder in (_PACKAGE / name, _PACKAGE.parent / name):
+        if (folder / holds).exists():
             return folder
-    raise FileNotFoundError(f"no documentation beside {_PACKAGE}; install ril again")
+    raise FileNotFoundError(f"no {what} beside {_PACKAGE}; install ril again")
