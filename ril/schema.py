@@ -74,14 +74,33 @@ class TemporalDifferenceConfig:
     gradient_clip: float | None = MISSING
     discount: float = MISSING
     loss: str = MISSING
+
+
+@dataclass
+class TargetNetworkConfig(TemporalDifferenceConfig):
+    """With a target network that is copied from time to time."""
+
     target_interval: int = MISSING
 
 
 @dataclass
-class QLearningConfig(TemporalDifferenceConfig):
+class QLearningConfig(TargetNetworkConfig):
     """π_φ's reinforcement half (Alg. 1, line 13)."""
 
     replay_trajectories: float = MISSING
+
+
+@dataclass
+class ConsistencyConfig(TemporalDifferenceConfig):
+    """Both halves in one descent, of `ril_consistent`."""
+
+    n_steps: int = MISSING
+    tau: float = MISSING
+    temperature: float = MISSING
+    imitation_weight: float = MISSING
+    fade: bool = MISSING
+    replay_trajectories: float = MISSING
+    replay_pre: bool = MISSING
 
 
 @dataclass
@@ -94,7 +113,7 @@ class ReplayConfig:
 
 
 @dataclass
-class OnlineQLearningConfig(TemporalDifferenceConfig):
+class OnlineQLearningConfig(TargetNetworkConfig):
     """Q-learning while acting, for a number of steps."""
 
     double: bool = MISSING
@@ -156,12 +175,25 @@ class IUPEConfig(BCConfig):
 
 
 @dataclass
-class RILConfig(IUPEConfig):
-    """`conf/method/ril.yaml`: Reinforced Imitation Learning."""
+class HalvesConfig(IUPEConfig):
+    """Imitation and reinforcement, either of which may be left out."""
 
     imitation: bool = MISSING
     reinforcement: bool = MISSING
+
+
+@dataclass
+class RILConfig(HalvesConfig):
+    """`conf/method/ril.yaml`: Reinforced Imitation Learning."""
+
     q_learning: QLearningConfig = field(default_factory=QLearningConfig)
+
+
+@dataclass
+class RILConsistentConfig(HalvesConfig):
+    """`conf/method/ril_consistent.yaml`: its halves in one consistent loss."""
+
+    q_learning: ConsistencyConfig = field(default_factory=ConsistencyConfig)
 
 
 @dataclass
@@ -325,6 +357,7 @@ METHOD_CONFIGS: dict[str, type[MethodConfig]] = {
     "iupe": IUPEConfig,
     "ppo": PPOMethodConfig,
     "ril": RILConfig,
+    "ril_consistent": RILConsistentConfig,
     "ril_sequential": RILSequentialConfig,
 }
 

@@ -78,10 +78,16 @@ class SelfSupervisedImitation:
             for purpose in ("pre", "labels", "exploration ratio", "goal sampler")
         }
 
-    def generate_pre(self) -> None:
-        """Lines 4–5: fill I^pre with what the untrained policy does, sampled from its softmax."""
+    def generate_pre(self) -> list[tuple[Episodes, NDArray[np.bool_]]]:
+        """Lines 4–5: fill I^pre with what the untrained policy does, sampled from its softmax.
+
+        Returns:
+            Episodes played, each S·N with (S·N,) which of them are in I^pre; none where it was
+            filled before the run was stopped.
+        """
+        played: list[tuple[Episodes, NDArray[np.bool_]]] = []
         if self.pre.sizes.any():
-            return  # filled before the run was stopped
+            return played
         environments = Environments(self.task.environment, len(self.task.seeds) * _PRE_COPIES)
         steps, streams = self.task.environment.max_episode_steps, self._streams["pre"]
         while (unfilled := self.pre.sizes < self.pre.capacity).any():
@@ -92,12 +98,21 @@ class SelfSupervisedImitation:
                 return sampled.flatten().cpu().numpy()
 
             episodes = environments.play(act, streams.integers(2**31, _PRE_COPIES).ravel())
-            self.pre.append(episodes, keep=np.repeat(unfilled, _PRE_COPIES))
+            keep = np.repeat(unfilled, _PRE_COPIES)
+            self.pre.append(episodes, keep)
+            played.append((episodes, keep))
         if self.config.inverse_dynamics.standardise:
             self.inverse_dynamics.standardise(self.pre.everything())
+        return played
 
     def train(self, limit: float) -> tuple[Metrics, NDArray[np.int64]]:
-        """Lines 14 (of the epoch before) and 7 to 9.
+        """Lines 14 (of the epoch before) and 7 to 9; as `infer_actions`, then `clone`."""
+        metrics, labels = self.infer_actions(limit)
+        metrics["cloning_loss"] = self.clone(labels)
+        return metrics, labels.cpu().numpy()
+
+    def infer_actions(self, limit: float) -> tuple[Metrics, Tensor]:
+        """Lines 14 (of the epoch before), 7 and 8.
 
         Args:
             limit: the most of I^pos that may enter I^s, by eq. 2; 1 is no limit.
@@ -110,13 +125,12 @@ class SelfSupervisedImitation:
         actions = self.task.environment.action_count
         dataset = select(self.pre, self.pos, share, actions, uniform)  # line 14: I^s
         inverse_dynamics_loss = self.inverse_dynamics.train(dataset)  # line 7
-        labels = self._label()  # line 8: Â
-        cloning_loss = self.cloning.train(self.expert_states, labels)  # line 9
-        metrics = {
-            "inverse_dynamics_loss": inverse_dynamics_loss.double().cpu().numpy(),
-            "cloning_loss": cloning_loss.double().cpu().numpy(),
-        }
-        return metrics, labels.cpu().numpy()
+        metrics = {"inverse_dynamics_loss": inverse_dynamics_loss.double().cpu().numpy()}
+        return metrics, self._label()  # line 8: Â
+
+    def clone(self, labels: Tensor) -> NDArray[np.float64]:
+        """Line 9: the policy learns labels (S, M); its (S,) mean loss."""
+        return self.cloning.train(self.expert_states, labels).double().cpu().numpy()
 
     def _label(self) -> Tensor:
         """Line 8: (S, M) pseudo-labels Â, the likeliest or drawn from M_θ's softmax."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ril.learners.td import td_errors, td_losses
-from ril.schema import TemporalDifferenceConfig
+from ril.schema import TargetNetworkConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import Network, by_name
 from ril.vectorized.priorities import Priorities
@@ -37,7 +37,7 @@ class QLearning:
         self,
         policy: Network,
         replay: Replay,
-        config: TemporalDifferenceConfig,
+        config: TargetNetworkConfig,
         streams: Streams,
         *,
         priorities: Priorities | None = None,

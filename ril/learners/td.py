@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
 from ril.vectorized.replay import Batch
+from ril.vectorized.rollout import Episodes
 
 
 def td_targets(
@@ -31,6 +34,39 @@ def td_targets(
     else:
         best = taken(next_values, choosing.argmax(dim=-1))
     return batch.rewards + discount * (1 - batch.terminated) * best
+
+
+def n_step(
+    episodes: Episodes, steps: int, discount: float, unit: NDArray[np.floating] | None = None
+) -> Episodes:
+    """Episodes whose transitions go over n steps: (s_t, a_t, Σ_{i<n} γ^i r_{t+i}, s_{t+n}).
+
+    Those that the environment's end leaves fewer steps for end there; those that a cut does are
+    left out, since what would have followed is not known.
+
+    Args:
+        episodes: K of them.
+        steps: n.
+        discount: γ.
+        unit: (K,) by which rewards are divided; 1 if None.
+    """
+    length = episodes.rewards.shape[1]
+    rewards = np.zeros_like(episodes.rewards)
+    for ahead in range(min(steps, length)):
+        rewards[:, : length - ahead] += discount**ahead * episodes.rewards[:, ahead:]
+    if unit is not None:
+        rewards /= unit[:, None]
+    last = np.minimum(np.arange(length) + steps, episodes.lengths[:, None]) - 1
+    rows = np.arange(len(last))[:, None]
+    whole = np.where(episodes.ends, episodes.lengths, episodes.lengths - steps + 1)
+    return Episodes(
+        episodes.observations,
+        episodes.actions,
+        rewards,
+        episodes.next_observations[rows, last],
+        episodes.terminated[rows, last],
+        np.maximum(whole, 0),
+    )
 
 
 def taken(values: Tensor, actions: Tensor) -> Tensor:

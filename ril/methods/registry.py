@@ -52,5 +52,6 @@ METHODS = {
     "iupe": Entry("ril.methods.iupe:IUPE"),
     "ppo": Entry("ril.methods.ppo:PPO", sees_expert=False),
     "ril": Entry("ril.methods.ril:RIL"),
+    "ril_consistent": Entry("ril.methods.ril_consistent:ConsistentRIL"),
     "ril_sequential": Entry("ril.methods.ril_sequential:SequentialRIL"),
 }

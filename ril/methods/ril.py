@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ril.errors import UserError
 from ril.learners.exploration import Explorer
@@ -16,9 +16,10 @@ from ril.learners.imitation import Metrics, SelfSupervisedImitation
 from ril.learners.q_learning import QLearning
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
-from ril.schema import RILConfig
+from ril.schema import HalvesConfig, RILConfig
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
+from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
@@ -32,7 +33,7 @@ class RIL:
         task: environment, expert states, seeds.
     """
 
-    def __init__(self, config: RILConfig, task: Task) -> None:
+    def __init__(self, config: HalvesConfig, task: Task) -> None:
         if not (config.imitation or config.reinforcement):
             raise UserError(
                 "method.imitation=false method.reinforcement=false: nothing would learn"
@@ -40,37 +41,43 @@ class RIL:
         self.config = config
         self.task = task
         self.epochs = config.epochs
-        seeds, size = task.seeds, task.environment.observation_size
-        self.policy = initial_policy(config.network, task)  # line 2: π_φ
+        self.policy = self._policy()  # line 2: π_φ
         self.imitation = SelfSupervisedImitation(config, task, self.policy)  # lines 1 and 3
-        memory = max(1, round(config.q_learning.replay_trajectories * task.expert.mean_length))
-        self.q_learning = QLearning(
-            self.policy,
-            Replay(len(seeds), memory, size, task.device),
-            config.q_learning,
-            Streams(seeds, "replay batches"),
-            fused=worth_compiling(
-                task.compile, config.epochs * config.episodes * config.q_learning.updates
-            ),
-        )
         self.explorer = Explorer(config.exploration, task, self.policy)
         self.epoch = 0
-        self.env_samples = np.zeros(len(seeds), dtype=np.int64)
+        self.env_samples = np.zeros(len(task.seeds), dtype=np.int64)
+
+    def _policy(self) -> Network:
+        """π_φ, with what corrects it by rewards."""
+        config, task = self.config, self.task
+        assert isinstance(config, RILConfig)
+        policy, q_learning = initial_policy(config.network, task), config.q_learning
+        self.q_learning = QLearning(
+            policy,
+            empty_memory(q_learning.replay_trajectories, task),
+            q_learning,
+            Streams(task.seeds, "replay batches"),
+            fused=worth_compiling(
+                task.compile, config.epochs * config.episodes * q_learning.updates
+            ),
+        )
+        return policy
 
     def train(self) -> Iterator[Progress]:
         """Algorithm 1, from line 4 on; yields after each epoch."""
         imitation = self.imitation
         if self.config.imitation:
-            imitation.generate_pre()  # lines 4–5
+            self._begin_with(imitation.generate_pre())  # lines 4–5
         while self.epoch < self.epochs and not imitation.stopping.stopped.all():  # line 6
             self.epoch += 1
             metrics: Metrics = {}
             labels = None
             if self.config.imitation:
-                metrics, labels = imitation.train(self._limit())  # lines 14 and 7–9
+                metrics, labels = imitation.infer_actions(self._limit())  # lines 14, 7 and 8
+                metrics["cloning_loss"] = self._clone(labels)  # line 9
             epsilon = imitation.look_at_expert(metrics.get("cloning_loss"))
             metrics["epsilon"] = epsilon
-            metrics |= self._solve_environments(epsilon)  # lines 10–13
+            metrics |= self._solve_environments(epsilon, labels)  # lines 10–13
             yield Progress(
                 self.epoch,
                 self.env_samples.copy(),
@@ -78,7 +85,7 @@ class RIL:
                 imitation.pre.capacity if self.config.imitation else 0,
                 imitation.stopping.stopped.copy(),
                 metrics,
-                labels,
+                None if labels is None else labels.cpu().numpy(),
             )
 
     def _limit(self) -> float:
@@ -87,23 +94,35 @@ class RIL:
             return 1.0
         return positive_limit(self.epoch - 1, self.task.ablation.n, self.task.ablation.k)
 
-    def _solve_environments(self, epsilon: NDArray[np.float64]) -> Metrics:
+    def _begin_with(self, pre: list[tuple[Episodes, NDArray[np.bool_]]]) -> None:
+        """Take note of the episodes of I^pre, which Q-learning here does not learn from."""
+
+    def _clone(self, labels: Tensor) -> NDArray[np.float64]:
+        """Line 9; returns (S,) the loss."""
+        return self.imitation.clone(labels)
+
+    def _solve_environments(self, epsilon: NDArray[np.float64], labels: Tensor | None) -> Metrics:
         """Lines 10–13: play |E| episodes, remember them, learn from each."""
         played: list[Episodes] = []
-        losses = []
+        corrections: list[Metrics] = []
         for _ in range(self.config.episodes):  # line 10
             episodes = self.explorer.play(epsilon)  # line 11
             played.append(episodes)
             self.env_samples += episodes.lengths
             if self.config.reinforcement:
-                self.q_learning.replay.append(episodes)
-                losses.append(self.q_learning.train(self.config.q_learning.updates))  # line 13
+                corrections.append(self._correct(episodes, labels))  # line 13
         metrics = {"training_return": np.mean([e.returns for e in played], axis=0)}
-        if losses:
-            metrics["td_loss"] = torch.stack(losses).mean(dim=0).double().cpu().numpy()
+        for name in corrections[0] if corrections else ():
+            metrics[name] = np.mean([each[name] for each in corrections], axis=0)
         if self.config.imitation:
             metrics |= self.imitation.remember(played)  # line 12
         return metrics
+
+    def _correct(self, episodes: Episodes, labels: Tensor | None) -> Metrics:
+        """Line 13, after one episode of each seed; `labels` (S, M) are line 8's."""
+        self.q_learning.replay.append(episodes)
+        loss = self.q_learning.train(self.q_learning.config.updates)
+        return {"td_loss": loss.double().cpu().numpy()}
 
     def _expert_samples(self) -> int:
         """Expert transitions used so far: T^e once per epoch (§5.2.2)."""
@@ -133,3 +152,9 @@ class RIL:
         self.env_samples = np.array(state["env_samples"], dtype=np.int64)
         for name, part in self._stateful().items():
             part.load_state_dict(state["parts"][name])
+
+
+def empty_memory(trajectories: float, task: Task) -> Replay:
+    """A replay memory of as many mean expert trajectories (§3.4)."""
+    capacity = max(1, round(trajectories * task.expert.mean_length))
+    return Replay(len(task.seeds), capacity, task.environment.observation_size, task.device)

@@ -97,19 +97,59 @@ class Dueling:
 
     def shapes(self) -> dict[str, tuple[int, int]]:
         """(rows, columns) of every parameter, of one seed, by name."""
-        return {
-            _in_stream(name, stream): shape
-            for stream, network in (("value", self.value), ("advantage", self.advantage))
-            for name, shape in network.shapes().items()
-        }
+        return _streams_shapes(value=self.value, advantage=self.advantage)
 
     def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
         """(S, B, inputs) to (S, B, |A|) values."""
-        value, advantage = (
-            network.forward({n: parameters[_in_stream(n, stream)] for n in network.shapes()}, x)
-            for stream, network in (("value", self.value), ("advantage", self.advantage))
+        value, advantage = _streams_forward(
+            parameters, x, value=self.value, advantage=self.advantage
         )
         return value + advantage - advantage.mean(dim=-1, keepdim=True)
+
+
+@dataclass(frozen=True)
+class Consistent:
+    """Q(s, a) = V(s) + τ·log π(a | s), from two streams (Nachum et al., 2017).
+
+    Its largest value is that of its likeliest action, and the softmax of Q / τ is π itself.
+
+    Attributes:
+        value: V, with one output.
+        policy: π, with a logit per action.
+        temperature: τ.
+        value_scale: what the output of V's stream is multiplied by.
+    """
+
+    value: MLP
+    policy: MLP
+    temperature: float
+    value_scale: float
+
+    def shapes(self) -> dict[str, tuple[int, int]]:
+        """(rows, columns) of every parameter, of one seed, by name."""
+        return _streams_shapes(value=self.value, policy=self.policy)
+
+    def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """(S, B, inputs) to (S, B, |A|) values."""
+        value, logits = _streams_forward(parameters, x, value=self.value, policy=self.policy)
+        return self.value_scale * value + self.temperature * logits.log_softmax(dim=-1)
+
+
+def _streams_shapes(**streams: MLP) -> dict[str, tuple[int, int]]:
+    """(rows, columns) of every parameter of networks side by side."""
+    return {
+        _in_stream(name, stream): shape
+        for stream, network in streams.items()
+        for name, shape in network.shapes().items()
+    }
+
+
+def _streams_forward(parameters: Parameters, x: Tensor, **streams: MLP) -> list[Tensor]:
+    """What each of the networks side by side makes of the same inputs."""
+    return [
+        network.forward({n: parameters[_in_stream(n, stream)] for n in network.shapes()}, x)
+        for stream, network in streams.items()
+    ]
 
 
 def _in_stream(name: str, stream: str) -> str:

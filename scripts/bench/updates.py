@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from bench.clock import in_turns, seconds, table
 from ril.learners.q_learning import QLearning
-from ril.schema import TemporalDifferenceConfig
+from ril.schema import TargetNetworkConfig
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.streams import Streams
@@ -61,7 +61,7 @@ def batched(seeds: int, *, fused: bool) -> Callable[[], None]:
         field.normal_()
     memory.actions.random_(3)
     memory.sizes[:] = STORED
-    config = TemporalDifferenceConfig(RATE, 1, BATCH, 1.0, DISCOUNT, "huber", 300)
+    config = TargetNetworkConfig(RATE, 1, BATCH, 1.0, DISCOUNT, "huber", 300)
     learner = QLearning(policy, memory, config, Streams(range(seeds), "batches"), fused=fused)
     return partial(learner.train, 1)
 

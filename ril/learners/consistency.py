@@ -1,0 +1,165 @@
+"""One loss for both halves of RIL: path consistency, anchored to the expert's labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ril.learners.td import n_step, td_errors, td_losses
+from ril.schema import ConsistencyConfig
+from ril.vectorized.descent import descent
+from ril.vectorized.losses import cross_entropy
+from ril.vectorized.networks import Consistent, Network, by_name, parameter_count
+from ril.vectorized.replay import Batch, Replay, random_indices
+from ril.vectorized.rollout import Episodes
+from ril.vectorized.streams import Streams
+from ril.vectorized.updates import ClippedAdam
+
+
+class ConsistentLearning:
+    """S pairs of value and policy that learn from transitions and from labels in one descent.
+
+    Args:
+        network: Q(s, a) = V(s) + τ·log π(a | s).
+        replay: each seed's memory.
+        config: `method.q_learning`.
+        seeds: S.
+        fused: whether each step is one compiled graph; the same but for rounding.
+
+    Attributes:
+        policy: π alone, as logits; of the average of the networks over the last updates, whose
+            values are the targets. It is what acts.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        replay: Replay,
+        config: ConsistencyConfig,
+        seeds: tuple[int, ...],
+        *,
+        fused: bool = False,
+    ) -> None:
+        assert isinstance(network.architecture, Consistent)
+        self.network = network
+        self.replay = replay
+        self.config = config
+        self.unit = torch.zeros(len(seeds), device=network.flat.device)
+        self._average = network.copy()
+        of_value = parameter_count(network.architecture.value)
+        self.policy = Network(network.architecture.policy, self._average.flat[:, of_value:])
+        self._streams = {
+            purpose: Streams(seeds, purpose) for purpose in ("replay batches", "cloning batches")
+        }
+        self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
+        self._descend = descent(self._optimizer, self._loss, fused=fused)
+
+    def remember(self, episodes: Episodes, keep: NDArray[np.bool_] | None = None) -> None:
+        """Keep the transitions of episodes, S·N of them or those that `keep` (S·N,) says.
+
+        Rewards are counted in units of their mean size in the first episodes of each seed.
+        """
+        config, seeds = self.config, len(self.unit)
+        if not self.unit.any():
+            size = np.abs(episodes.rewards).reshape(seeds, -1).sum(axis=1, dtype=np.float64)
+            mean = size / episodes.lengths.reshape(seeds, -1).sum(axis=1)
+            self.unit.copy_(torch.from_numpy(np.where(mean > 0, mean, 1.0)))
+        unit = self.unit.cpu().numpy().repeat(len(episodes.lengths) // seeds)
+        self.replay.append(n_step(episodes, config.n_steps, config.discount, unit), keep)
+
+    def train(
+        self, updates: int, states: Tensor, labels: Tensor | None, weight: float
+    ) -> tuple[Tensor, Tensor]:
+        """Minibatch steps of the temporal-difference loss and, beside it, of cross-entropy.
+
+        Args:
+            updates: how many steps.
+            states: (M, obs) of the expert, the same for all seeds.
+            labels: (S, M) the actions given for them; None learns from the transitions alone.
+            weight: of the cross-entropy.
+
+        Returns:
+            (S,) mean temporal-difference loss over the steps, and mean cross-entropy.
+        """
+        config, device = self.config, self.network.flat.device
+        numbers = self._streams["replay batches"].uniform(updates, config.batch_size)
+        slots = random_indices(numbers, self.replay.sizes).to(device)
+        numbers = self._streams["cloning batches"].uniform(updates, config.batch_size)
+        shown = random_indices(numbers, np.full(len(numbers), len(states))).to(device)
+        memory = self.replay.everything()
+        totals = torch.zeros(2, len(slots), device=device)
+        for update in range(updates):
+            anchor: tuple[Tensor | None, ...] = (None, None, None)
+            if labels is not None:
+                chosen = shown[:, update]
+                scale = torch.tensor(weight, device=device)
+                anchor = states[chosen], labels.gather(1, chosen), scale
+            _, *losses = self._descend(self._average.flat, memory, slots[:, update], *anchor)
+            totals += torch.stack([each.mean(dim=1) for each in losses])
+            self._average.flat.lerp_(self.network.flat, config.tau)
+        td_loss, cloning_loss = totals / max(updates, 1)
+        return td_loss, cloning_loss
+
+    def _loss(
+        self,
+        q: Callable[[Tensor], Tensor],
+        average: Tensor,
+        memory: Batch,
+        slots: Tensor,
+        states: Tensor | None,
+        labels: Tensor | None,
+        weight: Tensor | None,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What is descended, and its two parts; each (S, B).
+
+        Args:
+            q: observations to values.
+            average: (S, P) parameters whose values are the targets.
+            memory: (S, N, …) all transitions.
+            slots: (S, B) those that are learnt from.
+            states: (S, B, obs) of the expert; None leaves the second part out.
+            labels: (S, B) their actions.
+            weight: () of the second part.
+        """
+        architecture, config = self.network.architecture, self.config
+        assert isinstance(architecture, Consistent)
+        errors = td_errors(
+            q,
+            lambda x: architecture.forward(by_name(architecture, average), x),
+            memory.at(slots),
+            config.discount**config.n_steps,
+            double=True,
+        )
+        td = td_losses(errors, config.loss)
+        if states is None or labels is None or weight is None:
+            return td, td, torch.zeros_like(td)
+        # Times τ, so that both parts' gradients by Q are of one size.
+        temperature = architecture.temperature
+        cloning = cross_entropy(q(states) / temperature, labels)
+        return td + weight * temperature * cloning, td, cloning
+
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, optimiser, replay, and random streams."""
+        return {
+            "network": self.network.flat,
+            "average": self._average.flat,
+            "unit": self.unit,
+            "optimizer": self._optimizer.state_dict(),
+            "replay": self.replay.state_dict(),
+            "streams": {name: each.state_dict() for name, each in self._streams.items()},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from where `state_dict` was taken."""
+        self.network.flat.copy_(state["network"])
+        self._average.flat.copy_(state["average"])
+        self.unit.copy_(state["unit"])
+        self._optimizer.load_state_dict(state["optimizer"])
+        self.replay.load_state_dict(state["replay"])
+        for name, each in self._streams.items():
+            each.load_state_dict(state["streams"][name])

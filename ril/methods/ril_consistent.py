@@ -1,0 +1,86 @@
+"""RIL whose two halves are one loss of one consistent network: docs/ril_consistent.md."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ril.learners.consistency import ConsistentLearning
+from ril.learners.imitation import Metrics
+from ril.learners.topology import mlp
+from ril.methods.ril import RIL, empty_memory
+from ril.schema import RILConsistentConfig
+from ril.vectorized.compiling import worth_compiling
+from ril.vectorized.losses import cross_entropy
+from ril.vectorized.networks import Consistent, Network
+from ril.vectorized.rollout import Episodes
+
+
+class ConsistentRIL(RIL):
+    """Algorithm 1 with lines 9 and 13 as one descent; either alone is as in RIL or without labels.
+
+    Args:
+        config: `method` of the configuration.
+        task: environment, expert states, seeds.
+    """
+
+    def _policy(self) -> Network:
+        config, task = self.config, self.task
+        assert isinstance(config, RILConsistentConfig)
+        self.q_learning_config = settings = config.q_learning
+        size, actions = task.environment.observation_size, task.environment.action_count
+        steps = task.environment.max_episode_steps
+        # Rewards are about 1 in size, so values are at most about as many as steps that count.
+        horizon = min(1 / (1 - settings.discount), steps) if settings.discount < 1 else steps
+        architecture = Consistent(
+            mlp(config.network, size, 1),
+            mlp(config.network, size, actions),
+            settings.temperature,
+            horizon,
+        )
+        self.learning = ConsistentLearning(
+            Network.initialise(architecture, task.seeds, "policy", task.device),
+            empty_memory(settings.replay_trajectories, task),
+            settings,
+            task.seeds,
+            fused=worth_compiling(
+                task.compile, config.epochs * config.episodes * settings.updates
+            ),
+        )
+        return self.learning.policy
+
+    def _begin_with(self, pre: list[tuple[Episodes, NDArray[np.bool_]]]) -> None:
+        if self.q_learning_config.replay_pre and self.config.reinforcement:
+            for episodes, keep in pre:
+                self.learning.remember(episodes, keep)
+
+    def _clone(self, labels: Tensor) -> NDArray[np.float64]:
+        """Line 9, which is left to line 13 where there is one; returns (S,) the loss so far."""
+        if not self.config.reinforcement:
+            return super()._clone(labels)
+        states = self.imitation.expert_states.expand(*labels.shape, -1)
+        with torch.no_grad():
+            losses = cross_entropy(self.policy(states), labels)
+        return losses.mean(dim=1).double().cpu().numpy()
+
+    def _correct(self, episodes: Episodes, labels: Tensor | None) -> Metrics:
+        """Lines 9 and 13, after one episode of each seed."""
+        settings = self.q_learning_config
+        self.learning.remember(episodes)
+        weight = settings.imitation_weight * (1 - self._limit() if settings.fade else 1)
+        losses = self.learning.train(settings.updates, self.imitation.expert_states, labels, weight)
+        return {
+            name: loss.double().cpu().numpy()
+            for name, loss in zip(("td_loss", "cloning_loss"), losses, strict=True)
+        }
+
+    def _stateful(self) -> dict[str, Any]:
+        return {
+            "imitation": self.imitation,
+            "learning": self.learning,
+            "explorer": self.explorer,
+        }
