@@ -96,6 +96,7 @@ class ConsistencyConfig(TemporalDifferenceConfig):
 
     n_steps: int = MISSING
     tau: float = MISSING
+    value_hidden: list[int] = MISSING
     temperature: float = MISSING
     imitation_weight: float = MISSING
     fade: bool = MISSING

@@ -1,10 +1,11 @@
-"""Which of RIL's open choices matter? Settings tried on tuning seeds and another trajectory.
+"""Which of RIL's open choices matter? One changed at a time, on tuning seeds and another trajectory.
 
-    python scripts/search_ril.py FILE [ENV …]
+    python scripts/search_ril.py run ril mountaincar     # a row for each that has none yet
+    python scripts/search_ril.py show                    # the tables of docs/search/README.md
 
-FILE has a setting per line, as overrides of `ril-run`. Each is run on the environments with seeds
-100 to 104, from a trajectory other than the first, which reported runs see; a row of each goes to
-docs/search/<method>.csv. What has a row is not run again.
+Every choice is run with seeds 100 to 104, from a trajectory of the expert other than the one that
+reported runs see. Rows go to docs/search/<method>.csv, one as soon as it is known; several
+processes may run at once, for different methods or environments.
 """
 
 from __future__ import annotations
@@ -16,91 +17,75 @@ import tempfile
 import time
 from pathlib import Path
 
-import hydra
 import numpy as np
 import pandas as pd
+from matched_dqn import composed
+from rich.console import Console
 
-from ril.cli import store_schemas
-from ril.config import from_hydra
-from ril.experiment import run
-from ril.paths import config_folder
+from ril.collection import pack, put_first
+from ril.demonstrations.files import load_demonstrations
+from ril.display import ConsoleDisplay
+from ril.environments import load_environment
+from ril.experiment import run as run_cell
 
 SEARCH = Path(__file__).resolve().parents[1] / "docs" / "search"
+SEEDS = "[100,101,102,103,104]"
+ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 COLUMNS = (
-    "setting", "env", "expert", "seeds", "performance", "aer", "aer_std", "aer_last", "aer_last_std",
-    "worst", "samples_to_best", "samples", "seconds",
+    *("changed", "env", "seeds", "performance", "aer", "aer_std", "worst", "aer_last"),
+    *("aer_last_std", "samples_to_best", "processor_seconds"),
 )
+AS_IT_COMES = "as it comes"
+
+#: What is changed, one setting at a time, as overrides of `ril-run`; by method.
+CHOICES = {
+    "ril": (
+        AS_IT_COMES,
+        "method.episodes=3",
+        "method.goal_sampler.pre_steps_per_action=1000",
+        "method.inverse_dynamics.inputs=states",
+        "method.inverse_dynamics.updates=30",
+        "method.inverse_dynamics.labels=sample",
+        "method.cloning.updates=30",
+        "method.cloning.updates=100",
+        "method.cloning.updates=300",
+        "method.q_learning.updates=10",
+        "method.q_learning.updates=200",
+        "method.q_learning.discount=0.99",
+        "method.q_learning.target_interval=100",
+        "method.q_learning.loss=mse",
+        "method.exploration.kind=uniform",
+        "method.goal_sampler.memory=epoch",
+        "method.network.layer_norm=false",
+        "method.network.attention=false",
+        "evaluation.every=5",
+        "fidelity=paper",
+    ),
+    "ril_consistent": (
+        AS_IT_COMES,
+        "method.q_learning.imitation_weight=1",
+        "method.q_learning.imitation_weight=10",
+        "method.q_learning.fade=false",
+        "method.q_learning.temperature=0.1",
+        "method.q_learning.temperature=1",
+        "method.q_learning.replay_pre=false",
+        "method.q_learning.n_steps=1",
+        "method.q_learning.n_steps=10",
+        "method.q_learning.discount=0.99",
+        "method.q_learning.updates=100",
+        "method.q_learning.tau=1",
+        "method.q_learning.learning_rate=5e-4",
+        "method.episodes=2",
+    ),
+}
 
 
-class Silent:
-    def started(self, *a): ...
-    def advanced(self, *a): ...
-    def scoring(self): ...
-    def noted(self, line): print(line)
-    def finished(self, *a, **k): ...
-
-
-def tuning_demonstrations(env: str, folder: Path) -> Path:
-    """The expert's file with another trajectory first: of those left, the nearest in length."""
-    import ril.data
-    data = np.load(Path(ril.__file__).parent / "data" / f"{env}.npz")
-    arrays = {k: data[k] for k in data.files}
-    lengths = arrays["lengths"]
-    ends = np.cumsum(lengths)
-    steps = np.split(np.arange(ends[-1]), ends[:-1])
-    # observations have T+1 rows
-    oends = np.cumsum(lengths + 1)
-    orows = np.split(np.arange(oends[-1]), oends[:-1])
-    returns = np.array([arrays["rewards"][s].sum() for s in steps])
-    others = np.arange(1, len(lengths))
-    pick = others[np.argmin(np.abs(returns[others] - returns[0]), axis=0)]
-    order = [pick, *[i for i in others if i != pick]]
-    out = {
-        "observations": np.concatenate([arrays["observations"][orows[i]] for i in order]),
-        "actions": np.concatenate([arrays["actions"][steps[i]] for i in order]),
-        "rewards": np.concatenate([arrays["rewards"][steps[i]] for i in order]),
-        "lengths": lengths[order],
-        "terminated": arrays["terminated"][order],
-    }
+def write_tuning_demonstrations(env: str, folder: Path) -> Path:
+    """The environment's demonstrations without the first, another like it now in its place."""
+    environment = load_environment(composed(f"env={env}").env)
+    episodes = shipped_episodes(env)
+    first, others = episodes[0], episodes[1:]
+    others = put_first(others, first.length, first.total_reward, margin=5.0)
     path = folder / f"{env}.npz"
-    np.savez_compressed(path, **out)
-    print(env, "first", returns[0], "tuning on", returns[pick], flush=True)
+    np.savez_compressed(path, allow_pickle=False, **pack(others))
     return path
-
-
-def main() -> None:
-    store_schemas()
-    out = Path(sys.argv[1])
-    settings = [l.strip() for l in Path(sys.argv[2]).read_text().splitlines() if l.strip() and not l.startswith("#")]
-    envs = sys.argv[3:]
-    scratch = Path(tempfile.mkdtemp(prefix="search"))
-    demos = {e: tuning_demonstrations(e, scratch) for e in envs}
-    for setting in settings:
-        for env in envs:
-            out.touch()
-            if out.stat().st_size and ((old := pd.read_csv(out)).setting.eq(setting) & old.env.eq(env)).any():
-                continue
-            words = setting.split()
-            base = env.split("_")[0]
-            with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
-                config = from_hydra(hydra.compose("config", [
-                    f"env={base}", "seeds=[100,101,102,103,104]", f"output_dir={scratch}/o",
-                    f"demonstrations={demos[env]}", "resume=false", *words]))
-            t = time.process_time()
-            folder = run(config, Silent())
-            seconds = time.process_time() - t
-            r = pd.read_csv(folder / "results.csv")
-            c = pd.read_csv(folder / "curve.csv")
-            row = dict(setting=setting, env=env, expert=0, seeds=5, performance=r.performance.mean(),
-                aer=r.aer.mean(), aer_std=r.aer.std(ddof=0), aer_last=r.aer_last.mean(), aer_last_std=r.aer_last.std(ddof=0),
-                worst=r.aer.min(), samples_to_best=r.samples_to_best.mean(), samples=(r.env_samples+r.expert_samples).mean(), seconds=seconds)
-            with out.open("a") as f:
-                fcntl.flock(f, fcntl.LOCK_EX)
-                w = csv.DictWriter(f, COLUMNS)
-                if f.tell() == 0: w.writeheader()
-                w.writerow({k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()})
-            mid = c.groupby("epoch").aer.mean()
-            print(f"{env:16s} {row['aer']:8.2f} ± {row['aer_std']:6.2f} last {row['aer_last']:8.2f} worst {row['worst']:8.2f} stb {row['samples_to_best']:.0f} {seconds:.0f}s  | {setting} | " + " ".join(f"{mid[e]:.0f}" for e in mid.index[4::5]), flush=True)
-
-
-main()

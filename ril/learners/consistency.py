@@ -138,10 +138,8 @@ class ConsistentLearning:
         td = td_losses(errors, config.loss)
         if states is None or labels is None or weight is None:
             return td, td, torch.zeros_like(td)
-        # Times τ, so that both parts' gradients by Q are of one size.
-        temperature = architecture.temperature
-        cloning = cross_entropy(q(states) / temperature, labels)
-        return td + weight * temperature * cloning, td, cloning
+        cloning = cross_entropy(q(states) / architecture.temperature, labels)
+        return td + weight * cloning, td, cloning
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimiser, replay, and random streams."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ class ConsistentRIL(RIL):
         # Rewards are about 1 in size, so values are at most about as many as steps that count.
         horizon = min(1 / (1 - settings.discount), steps) if settings.discount < 1 else steps
         architecture = Consistent(
-            mlp(config.network, size, 1),
+            replace(mlp(config.network, size, 1), hidden=tuple(settings.value_hidden)),
             mlp(config.network, size, actions),
             settings.temperature,
             horizon,
