@@ -46,6 +46,8 @@ _BOUNDS = {
     "negative_slope": (0, math.inf),
     "n": (1, math.inf),
     "expert_return": (-math.inf, math.inf),
+    "imitation_weight": (0, math.inf),
+    "tau": (1e-6, 1),
 }
 _CHOICES = {
     "method.exploration.kind": ("softmax", "uniform"),
