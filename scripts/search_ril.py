@@ -1,4 +1,4 @@
-"""Which of RIL's open choices matter? One changed at a time, on tuning seeds and another trajectory.
+"""Which of RIL's open choices matter? One changed at a time, on seeds that no report uses.
 
     python scripts/search_ril.py run ril mountaincar     # a row for each that has none yet
     python scripts/search_ril.py show                    # the tables of docs/search/README.md
@@ -16,16 +16,16 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matched_dqn import composed
 from rich.console import Console
 
-from ril.collection import pack, put_first
-from ril.demonstrations.files import load_demonstrations
+from ril.collection import Episode, save
+from ril.demonstrations.files import shipped_path
 from ril.display import ConsoleDisplay
-from ril.environments import load_environment
 from ril.experiment import run as run_cell
 
 SEARCH = Path(__file__).resolve().parents[1] / "docs" / "search"
@@ -80,12 +80,95 @@ CHOICES = {
 }
 
 
-def write_tuning_demonstrations(env: str, folder: Path) -> Path:
-    """The environment's demonstrations without the first, another like it now in its place."""
-    environment = load_environment(composed(f"env={env}").env)
-    episodes = shipped_episodes(env)
-    first, others = episodes[0], episodes[1:]
-    others = put_first(others, first.length, first.total_reward, margin=5.0)
+def tuning_demonstrations(env: str, folder: Path) -> Path:
+    """The environment's trajectories but for the first, led by the one most like it."""
+    with np.load(shipped_path(env)) as arrays:
+        lengths, terminated = arrays["lengths"], arrays["terminated"]
+        states, ends = np.cumsum(lengths + 1)[:-1], np.cumsum(lengths)[:-1]
+        parts = zip(
+            np.split(arrays["observations"], states),
+            np.split(arrays["actions"], ends),
+            np.split(arrays["rewards"], ends),
+            terminated.tolist(),
+            strict=True,
+        )
+        first, *others = [Episode(0, *part) for part in parts]
+    chosen = min(others, key=lambda episode: abs(episode.total_reward - first.total_reward))
     path = folder / f"{env}.npz"
-    np.savez_compressed(path, allow_pickle=False, **pack(others))
+    save(path, [chosen, *(episode for episode in others if episode is not chosen)])
     return path
+
+
+def run(method: str, env: str) -> None:
+    """Run the choices that have no row yet."""
+    path = SEARCH / f"{method}.csv"
+    path.parent.mkdir(exist_ok=True)
+    display = ConsoleDisplay(Console(), live=False, alone=False)
+    with tempfile.TemporaryDirectory() as folder:
+        demonstrations = tuning_demonstrations(env, Path(folder))
+        asked = (f"env={env}", f"method={method}", f"seeds={SEEDS}", f"output_dir={folder}")
+        for changed in CHOICES[method]:
+            if path.exists() and {"changed": changed, "env": env} in records(path):
+                continue
+            overrides = () if changed == AS_IT_COMES else changed.split()
+            config = composed(*asked, f"demonstrations={demonstrations}", *overrides)
+            started = time.process_time()
+            rows = pd.read_csv(run_cell(config, display) / "results.csv")
+            row = {
+                "changed": changed,
+                "env": env,
+                "seeds": len(rows),
+                "performance": rows["performance"].mean(),
+                "aer": rows["aer"].mean(),
+                "aer_std": rows["aer"].std(ddof=0),
+                "worst": rows["aer"].min(),
+                "aer_last": rows["aer_last"].mean(),
+                "aer_last_std": rows["aer_last"].std(ddof=0),
+                "samples_to_best": rows["samples_to_best"].mean(),
+                "processor_seconds": time.process_time() - started,
+            }
+            append(path, row)
+
+
+def records(path: Path) -> list[dict[str, str]]:
+    """What has been tried."""
+    return pd.read_csv(path)[["changed", "env"]].to_dict("records")
+
+
+def append(path: Path, row: dict[str, Any]) -> None:
+    """Add a row, whole, whoever else adds one at the same time."""
+    with path.open("a", newline="") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        writer = csv.DictWriter(file, COLUMNS)
+        if file.tell() == 0:
+            writer.writeheader()
+        rounded = {k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}
+        writer.writerow(rounded)
+
+
+def show() -> None:
+    """Print a table per method: what each change does to the returns of each environment."""
+    for path in sorted(SEARCH.glob("*.csv")):
+        tried = pd.read_csv(path)
+        tried["cell"] = [
+            f"{row.aer:.1f} ± {row.aer_std:.1f} ({row.aer_last:.1f})" for row in tried.itertuples()
+        ]
+        table = tried.pivot(index="changed", columns="env", values="cell")
+        order = [name for name in CHOICES[path.stem] if name in table.index]
+        table = table.reindex(index=order, columns=[e for e in ENVIRONMENTS if e in table])
+        print(f"\n### `method={path.stem}`\n")
+        print(f"| changed | {' | '.join(table.columns)} |\n|---|{'---|' * len(table.columns)}")
+        for changed, cells in table.fillna("–").iterrows():
+            named = changed if changed == AS_IT_COMES else f"`{changed}`"
+            print(f"| {named} | {' | '.join(cells)} |")
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["run", method, *environments] if method in CHOICES:
+            for each in environments or ENVIRONMENTS:
+                run(method, each)
+        case ["show"]:
+            show()
+        case _:
+            sys.exit(__doc__)
