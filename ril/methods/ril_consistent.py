@@ -48,8 +48,9 @@ class ConsistentRIL(RIL):
             empty_memory(settings.replay_trajectories, task),
             settings,
             task.seeds,
+            # One of its updates is worth five of Q-learning's, whose networks it evaluates once.
             fused=worth_compiling(
-                task.compile, config.epochs * config.episodes * settings.updates
+                task.compile, 5 * config.epochs * config.episodes * settings.updates
             ),
         )
         return self.learning.policy
