@@ -54,7 +54,7 @@ _CHOICES = {
     "method.inverse_dynamics.inputs": ("states", "change"),
     "method.inverse_dynamics.labels": ("argmax", "sample"),
     "method.q_learning.loss": ("huber", "mse"),
-    "method.goal_sampler.memory": ("run", "epoch"),
+    "method.goal_sampler.memory": ("run", "epoch", "none"),
     "method.latent_policy.changes": ("raw", "scaled", "standardised"),
     "method.discriminator.reward": ("positive", "negative"),
 }

@@ -133,7 +133,7 @@ class ConsistentLearning:
             lambda x: architecture.forward(by_name(architecture, average), x),
             memory.at(slots),
             config.discount**config.n_steps,
-            double=True,
+            double=False,
         )
         td = td_losses(errors, config.loss)
         if states is None or labels is None or weight is None:

@@ -182,7 +182,8 @@ class SelfSupervisedImitation:
                 final_rewards=episodes.final_rewards,
                 terminated=episodes.ends,
             )
-            self.pos.append(episodes, keep=goal)
+            if self.config.goal_sampler.memory != "none":
+                self.pos.append(episodes, keep=goal)
             goals.append(goal.reshape(seeds, -1))
             accuracies.append(self._accuracy(episodes).reshape(seeds, -1))
         self.positive_share = np.concatenate(goals, axis=1).mean(axis=1)

@@ -38,7 +38,11 @@ class ConsistentRIL(RIL):
         # Rewards are about 1 in size, so values are at most about as many as steps that count.
         horizon = min(1 / (1 - settings.discount), steps) if settings.discount < 1 else steps
         architecture = Consistent(
-            replace(mlp(config.network, size, 1), hidden=tuple(settings.value_hidden)),
+            replace(
+                mlp(config.network, size, 1),
+                hidden=tuple(settings.value_hidden),
+                attention=False,  # of one token, which adds a product and no information (D2)
+            ),
             mlp(config.network, size, actions),
             settings.temperature,
             horizon,
