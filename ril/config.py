@@ -17,9 +17,9 @@ from ril.errors import UserError
 from ril.schema import (
     BCConfig,
     Config,
+    HalvesConfig,
     OnlineQLearningConfig,
     ReinforcementConfig,
-    RILConfig,
     RILSequentialConfig,
 )
 
@@ -155,7 +155,7 @@ def epochs_between_looks(every: Any, epochs: int) -> int:
 
 def idle_ablations(config: Config) -> tuple[str, ...]:
     """Keys of `ablation` that cannot change the method's numbers."""
-    if isinstance(config.method, RILConfig | RILSequentialConfig):
+    if isinstance(config.method, HalvesConfig | RILSequentialConfig):
         return ()
     if isinstance(config.method, ReinforcementConfig):
         return ("k", "n", "trajectories")

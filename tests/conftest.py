@@ -106,6 +106,12 @@ QUICK_METHODS = {
         "method.q_learning.updates=4",
         "method.q_learning.batch_size=16",
     ),
+    "ril_consistent": (
+        *QUICK_IMITATION,
+        "method.q_learning.updates=4",
+        "method.q_learning.batch_size=16",
+        "method.q_learning.value_hidden=[6]",
+    ),
     "ril_sequential": (*QUICK_IMITATION, *QUICK_Q_LEARNING),
 }
 #: A run of RIL of a second.

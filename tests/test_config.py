@@ -491,7 +491,7 @@ def test_run_id_depends_on_equation_2_where_it_is_used(
     compose: Any, method: str, override: str
 ) -> None:
     plain, changed = (identifier(compose, f"method={method}", *o) for o in ((), (override,)))
-    assert (changed != plain) is (method in ("ril", "ril_sequential"))
+    assert (changed != plain) is (method in ("ril", "ril_consistent", "ril_sequential"))
 
 
 def test_run_id_is_as_if_there_were_no_compilation_where_none_is_asked_for(compose: Any) -> None:

@@ -10,7 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ril.errors import UserError
 from ril.learners.consistency import ConsistentLearning
+from ril.learners.goal_sampler import positive_limit
 from ril.learners.imitation import Metrics
 from ril.learners.topology import mlp
 from ril.methods.ril import RIL, empty_memory
@@ -35,6 +37,11 @@ class ConsistentRIL(RIL):
         self.q_learning_config = settings = config.q_learning
         size, actions = task.environment.observation_size, task.environment.action_count
         steps = task.environment.max_episode_steps
+        if settings.n_steps > steps:  # nothing of an episode that is cut would be remembered
+            raise UserError(
+                f"method.q_learning.n_steps={settings.n_steps}: must be within 1..{steps}, "
+                "the steps of an episode"
+            )
         # Rewards are about 1 in size, so values are at most about as many as steps that count.
         horizon = min(1 / (1 - settings.discount), steps) if settings.discount < 1 else steps
         architecture = Consistent(
@@ -77,12 +84,16 @@ class ConsistentRIL(RIL):
         """Lines 9 and 13, after one episode of each seed."""
         settings = self.q_learning_config
         self.learning.remember(episodes)
-        weight = settings.imitation_weight * (1 - self._limit() if settings.fade else 1)
-        losses = self.learning.train(settings.updates, self.imitation.expert_states, labels, weight)
-        return {
-            name: loss.double().cpu().numpy()
-            for name, loss in zip(("td_loss", "cloning_loss"), losses, strict=True)
-        }
+        ablation, weight = self.task.ablation, settings.imitation_weight
+        if settings.fade:
+            weight *= 1 - positive_limit(self.epoch - 1, ablation.n, ablation.k)
+        td_loss, cloning_loss = self.learning.train(
+            settings.updates, self.imitation.expert_states, labels, weight
+        )
+        metrics = {"td_loss": td_loss.double().cpu().numpy()}
+        if labels is not None:
+            metrics["cloning_loss"] = cloning_loss.double().cpu().numpy()
+        return metrics
 
     def _stateful(self) -> dict[str, Any]:
         return {

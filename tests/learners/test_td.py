@@ -1,13 +1,17 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from references import copies_of, random_network
 from torch.nn import functional
 
-from ril.learners.td import taken, td_errors, td_losses, td_targets
+from ril.learners.td import n_step, taken, td_errors, td_losses, td_targets
 from ril.vectorized.networks import MLP
 from ril.vectorized.replay import Batch
+from ril.vectorized.rollout import Episodes
 
 ARCHITECTURE = MLP(inputs=2, hidden=(6,), outputs=3)
 S, B = 2, 5
@@ -110,3 +114,75 @@ def test_no_gradient_reaches_the_policy_through_what_is_aimed_at(double: bool) -
     found = torch.autograd.grad(errors.sum(), leaves)
     expected = torch.autograd.grad(taken(policy(batch.observations), batch.actions).sum(), leaves)
     torch.testing.assert_close(found, expected)
+
+
+def random_episodes(ends: list[tuple[int, bool]]) -> Episodes:
+    """One of each length, which the environment ended or a cut did, and noise beyond its end."""
+    numbers, count = np.random.default_rng(0), len(ends)
+    lengths = np.array([length for length, _ in ends])
+    longest = lengths.max() + 2
+    states = numbers.normal(size=(2, count, longest, 3)).astype(np.float32)
+    rewards = numbers.normal(size=(count, longest)).astype(np.float32)
+    rewards[np.arange(longest) >= lengths[:, None]] = 0.0
+    terminated = np.zeros((count, longest), dtype=bool)
+    terminated[np.arange(count), lengths - 1] = [ended for _, ended in ends]
+    actions = numbers.integers(3, size=(count, longest))
+    return Episodes(states[0], actions, rewards, states[1], terminated, lengths)
+
+
+several_ends = st.lists(st.tuples(st.integers(1, 12), st.booleans()), min_size=1, max_size=4)
+
+
+@given(
+    ends=several_ends,
+    steps=st.integers(1, 15),
+    discount=st.sampled_from([0.0, 0.5, 0.98, 1.0]),
+    in_units=st.booleans(),
+)
+def test_transitions_over_n_steps_are_those_of_a_loop(
+    ends: list[tuple[int, bool]], steps: int, discount: float, in_units: bool
+) -> None:
+    episodes = random_episodes(ends)
+    unit = np.linspace(0.5, 3, len(ends)) if in_units else None
+    found = n_step(episodes, steps, discount, unit)
+    for k, (length, ended) in enumerate(ends):
+        rows = []
+        for t in range(length):
+            ahead = min(steps, length - t)
+            if ahead < steps and not ended:
+                continue  # nobody knows what would have followed
+            reward = sum(discount**i * float(episodes.rewards[k, t + i]) for i in range(ahead))
+            reward /= 1.0 if unit is None else unit[k]
+            rows.append((t, reward, t + ahead - 1, ended and t + ahead == length))
+        assert found.lengths[k] == len(rows)
+        for row, (t, reward, last, terminal) in enumerate(rows):
+            np.testing.assert_array_equal(found.observations[k, row], episodes.observations[k, t])
+            assert found.actions[k, row] == episodes.actions[k, t]
+            assert found.rewards[k, row] == pytest.approx(reward, rel=1e-4, abs=1e-5)
+            following = episodes.next_observations[k, last]
+            np.testing.assert_array_equal(found.next_observations[k, row], following)
+            assert found.terminated[k, row] == terminal
+
+
+@given(several_ends)
+def test_transitions_over_one_step_are_the_episodes_own(ends: list[tuple[int, bool]]) -> None:
+    episodes = random_episodes(ends)
+    found = n_step(episodes, 1, 0.9)
+    np.testing.assert_array_equal(found.lengths, episodes.lengths)
+    for name in ("observations", "actions", "rewards", "next_observations", "terminated"):
+        one, other = getattr(found, name), getattr(episodes, name)
+        assert one.dtype == other.dtype
+        for k, (length, _) in enumerate(ends):
+            np.testing.assert_array_equal(one[k, :length], other[k, :length], err_msg=name)
+
+
+def test_transitions_over_n_steps_leave_the_episodes_as_they_were() -> None:
+    ends = [(5, True), (7, False)]
+    episodes, before = random_episodes(ends), random_episodes(ends)
+    n_step(episodes, 3, 0.9, np.array([2.0, 3.0]))
+    for name, values in vars(before).items():
+        np.testing.assert_array_equal(getattr(episodes, name), values, err_msg=name)
+
+
+def test_an_episode_that_is_cut_before_n_steps_leaves_no_transition() -> None:
+    assert n_step(random_episodes([(3, False), (4, False)]), 4, 0.9).lengths.tolist() == [0, 1]

@@ -46,7 +46,7 @@ def test_every_method_with_a_configuration_is_here() -> None:
 
 
 def test_methods_from_observation_are_shown_states_only() -> None:
-    assert SEES_STATES_ONLY == ("ilpo", "iupe", "ril", "ril_sequential")
+    assert SEES_STATES_ONLY == ("ilpo", "iupe", "ril", "ril_consistent", "ril_sequential")
 
 
 def test_methods_from_rewards_alone_are_shown_nothing() -> None:
@@ -100,6 +100,11 @@ SIZES = {
     "iupe": IMITATION,
     "ppo": ("method.ppo.batch_size=64",),
     "ril": (*IMITATION, "method.q_learning.batch_size=32"),
+    "ril_consistent": (
+        *IMITATION,
+        "method.q_learning.batch_size=64",
+        "method.q_learning.value_hidden=[64,64]",
+    ),
     "ril_sequential": (*IMITATION, "method.q_learning.batch_size=32"),
 }
 MOUNTAINCAR = ("env=mountaincar", "env.goal.minimum_return=null")

@@ -11,6 +11,7 @@ from torch import nn
 
 from ril.vectorized.networks import (
     MLP,
+    Consistent,
     Dueling,
     Network,
     by_name,
@@ -128,12 +129,10 @@ def dueling(draw: st.DrawFn) -> Dueling:
     return Dueling(dataclasses.replace(value, inputs=advantage.inputs, outputs=1), advantage)
 
 
-def streams_of(network: Network) -> list[tuple[nn.Sequential, nn.Sequential]]:
-    """Each seed's two streams as modules of torch.nn; a parameter names its own."""
-    architecture = network.architecture
-    assert isinstance(architecture, Dueling)
-    streams = []
-    for name in ("value", "advantage"):
+def streams_of(network: Network, *names: str) -> list[tuple[nn.Sequential, ...]]:
+    """Each seed's streams of these names as modules of torch.nn; a parameter names its own."""
+    architecture, streams = network.architecture, []
+    for name in names:
         named = [p for key, p in network.parameters.items() if f".{name}." in key]
         flat = torch.cat([p.detach().reshape(S, -1) for p in named], dim=1)
         streams.append(copies_of(Network(getattr(architecture, name), flat)))
@@ -144,7 +143,7 @@ def streams_of(network: Network) -> list[tuple[nn.Sequential, nn.Sequential]]:
 def test_dueling_is_state_values_and_advantages_around_their_mean(architecture: Dueling) -> None:
     network, x = random_network(architecture, S), inputs(architecture.value.inputs)
     expected = []
-    for (value, advantage), rows in zip(streams_of(network), x, strict=True):
+    for (value, advantage), rows in zip(streams_of(network, "value", "advantage"), x, strict=True):
         values, advantages = value(rows), advantage(rows)
         mean = advantages.sum(dim=1, keepdim=True) / architecture.advantage.outputs
         expected.append(values.expand_as(advantages) + (advantages - mean))
@@ -174,6 +173,93 @@ def test_dueling_streams_begin_as_two_networks_would(architecture: Dueling) -> N
 def test_dueling_attention_and_layer_norm_begin_as_an_mlps() -> None:
     parameters = Network.initialise(Dueling(FULL, FULL), (0, 1), "policy", CPU).parameters
     for stream in ("value", "advantage"):
+        assert not parameters[f"value1.{stream}.gamma"].any()
+        assert (parameters[f"norm1.{stream}.weight"] == 1).all()
+        assert (parameters[f"norm1.{stream}.bias"] == 0).all()
+
+
+TEMPERATURES = (0.01, 0.1, 1.0, 3.0)
+
+
+@st.composite
+def consistent(draw: st.DrawFn) -> Consistent:
+    """Two streams over the same inputs, otherwise as they like."""
+    value, policy = draw(architectures), draw(architectures)
+    value = dataclasses.replace(value, inputs=policy.inputs, outputs=1)
+    scale = draw(st.sampled_from([0.5, 1.0, 50.0]))
+    return Consistent(value, policy, draw(st.sampled_from(TEMPERATURES)), scale)
+
+
+@given(consistent())
+def test_consistent_values_are_a_state_value_and_scaled_log_chances(
+    architecture: Consistent,
+) -> None:
+    network, x = random_network(architecture, S), inputs(architecture.value.inputs)
+    expected = []
+    for (value, policy), rows in zip(streams_of(network, "value", "policy"), x, strict=True):
+        chances = policy(rows).softmax(dim=1).clamp(min=1e-30)
+        values = architecture.value_scale * value(rows).expand_as(chances)
+        expected.append(values + architecture.temperature * chances.log())
+    torch.testing.assert_close(network(x), torch.stack(expected), rtol=1e-3, atol=1e-3)
+
+
+def consistent_streams(temperature: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Values Q (S, B, |A|) of a consistent network, its V (S, B) and its policy's logits."""
+    policy = dataclasses.replace(FULL, outputs=4)
+    value = dataclasses.replace(PLAIN, hidden=(6,), outputs=1)
+    network, x = random_network(Consistent(value, policy, temperature, 2.0), S), inputs(3)
+    pairs = zip(streams_of(network, "value", "policy"), x, strict=True)
+    both = [(2.0 * v(rows).squeeze(1), p(rows)) for (v, p), rows in pairs]
+    values, logits = (torch.stack(each) for each in zip(*both, strict=True))
+    return network(x), values, logits
+
+
+@pytest.mark.parametrize("temperature", TEMPERATURES)
+def test_the_largest_consistent_value_is_the_likeliest_actions(temperature: float) -> None:
+    q, _, logits = consistent_streams(temperature)
+    assert torch.equal(q.argmax(dim=-1), logits.argmax(dim=-1))
+    assert len(logits.argmax(dim=-1).unique()) > 1
+
+
+@pytest.mark.parametrize("temperature", TEMPERATURES)
+def test_the_softmax_of_consistent_values_is_the_policy(temperature: float) -> None:
+    q, _, logits = consistent_streams(temperature)
+    found = (q / temperature).softmax(dim=-1)
+    torch.testing.assert_close(found, logits.softmax(dim=-1), rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("temperature", TEMPERATURES)
+def test_the_soft_maximum_of_consistent_values_is_the_state_value(temperature: float) -> None:
+    q, values, _ = consistent_streams(temperature)
+    found = temperature * (q / temperature).logsumexp(dim=-1)
+    torch.testing.assert_close(found, values, rtol=1e-4, atol=1e-5)
+
+
+@given(consistent())
+def test_consistent_has_the_parameters_of_both_streams_the_values_first(
+    architecture: Consistent,
+) -> None:
+    of_value, of_policy = map(parameter_count, (architecture.value, architecture.policy))
+    assert parameter_count(architecture) == of_value + of_policy
+    network, x = random_network(architecture, S), inputs(architecture.policy.inputs)
+    alone = Network(architecture.policy, network.flat[:, of_value:])  # a view
+    expected = [
+        policy(rows) for (policy,), rows in zip(streams_of(network, "policy"), x, strict=True)
+    ]
+    torch.testing.assert_close(alone(x), torch.stack(expected))
+
+
+def test_consistent_streams_begin_as_two_networks_would() -> None:
+    value = dataclasses.replace(FULL, hidden=(4, 6), outputs=1)
+    parameters = Network.initialise(
+        Consistent(value, FULL, 0.1, 50.0), range(200), "policy", CPU
+    ).parameters
+    for stream, fan_ins in (("value", (3, 4, 6)), ("policy", (3, 8, 5))):
+        for layer, fan_in in zip(("linear0", "linear1", "output"), fan_ins, strict=True):
+            for kind in ("weight", "bias"):
+                sizes = parameters[f"{layer}.{stream}.{kind}"].abs()
+                assert 0.95 * fan_in**-0.5 < sizes.max() <= fan_in**-0.5, (layer, kind)
+                assert sizes.mean().item() == pytest.approx(0.5 * fan_in**-0.5, rel=0.1)
         assert not parameters[f"value1.{stream}.gamma"].any()
         assert (parameters[f"norm1.{stream}.weight"] == 1).all()
         assert (parameters[f"norm1.{stream}.bias"] == 0).all()
