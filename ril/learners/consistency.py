@@ -15,7 +15,7 @@ from ril.schema import ConsistencyConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Consistent, Network, by_name, parameter_count
-from ril.vectorized.replay import Batch, Replay, random_indices
+from ril.vectorized.replay import Batch, Replay, joined, random_indices
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
@@ -26,7 +26,8 @@ class ConsistentLearning:
 
     Args:
         network: Q(s, a) = V(s) + τ·log π(a | s).
-        replay: each seed's memory.
+        replay: each seed's memory of its own episodes.
+        prior: of those before it learnt, from which half of each minibatch is drawn; None for none.
         config: `method.q_learning`.
         seeds: S.
         fused: whether each step is one compiled graph; the same but for rounding.
@@ -40,6 +41,7 @@ class ConsistentLearning:
         self,
         network: Network,
         replay: Replay,
+        prior: Replay | None,
         config: ConsistencyConfig,
         seeds: tuple[int, ...],
         *,
@@ -48,6 +50,7 @@ class ConsistentLearning:
         assert isinstance(network.architecture, Consistent)
         self.network = network
         self.replay = replay
+        self.prior = prior
         self.config = config
         self.unit = torch.zeros(len(seeds), device=network.flat.device)
         self._average = network.copy()
@@ -59,8 +62,10 @@ class ConsistentLearning:
         self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
         self._descend = descent(self._optimizer, self._loss, fused=fused)
 
-    def remember(self, episodes: Episodes, keep: NDArray[np.bool_] | None = None) -> None:
-        """Keep the transitions of episodes, S·N of them or those that `keep` (S·N,) says.
+    def remember(
+        self, memory: Replay, episodes: Episodes, keep: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Put the transitions of S·N episodes, or of those that `keep` (S·N,) says, into a memory.
 
         Rewards are counted in units of their mean size in the first episodes of each seed.
         """
@@ -70,7 +75,7 @@ class ConsistentLearning:
             mean = size / episodes.lengths.reshape(seeds, -1).sum(axis=1)
             self.unit.copy_(torch.from_numpy(np.where(mean > 0, mean, 1.0)))
         unit = self.unit.cpu().numpy().repeat(len(episodes.lengths) // seeds)
-        self.replay.append(n_step(episodes, config.n_steps, config.discount, unit), keep)
+        memory.append(n_step(episodes, config.n_steps, config.discount, unit), keep)
 
     def train(
         self, updates: int, states: Tensor, labels: Tensor | None, weight: float
@@ -88,18 +93,23 @@ class ConsistentLearning:
         """
         config, device = self.config, self.network.flat.device
         numbers = self._streams["replay batches"].uniform(updates, config.batch_size)
-        slots = random_indices(numbers, self.replay.sizes).to(device)
+        parts = [(self.replay, numbers)]
+        if self.prior is not None:
+            half = config.batch_size // 2
+            parts = [(self.prior, numbers[..., :half]), (self.replay, numbers[..., half:])]
+        slots = [random_indices(drawn, memory.sizes).to(device) for memory, drawn in parts]
         numbers = self._streams["cloning batches"].uniform(updates, config.batch_size)
         shown = random_indices(numbers, np.full(len(numbers), len(states))).to(device)
-        memory = self.replay.everything()
-        totals = torch.zeros(2, len(slots), device=device)
+        memories = [memory.everything() for memory, _ in parts]
+        totals = torch.zeros(2, len(self.unit), device=device)
         for update in range(updates):
             anchor: tuple[Tensor | None, ...] = (None, None, None)
             if labels is not None:
                 chosen = shown[:, update]
                 scale = torch.tensor(weight, device=device)
                 anchor = states[chosen], labels.gather(1, chosen), scale
-            _, *losses = self._descend(self._average.flat, memory, slots[:, update], *anchor)
+            at = [chosen[:, update] for chosen in slots]
+            _, *losses = self._descend(self._average.flat, memories, at, *anchor)
             totals += torch.stack([each.mean(dim=1) for each in losses])
             self._average.flat.lerp_(self.network.flat, config.tau)
         td_loss, cloning_loss = totals / max(updates, 1)
@@ -109,8 +119,8 @@ class ConsistentLearning:
         self,
         q: Callable[[Tensor], Tensor],
         average: Tensor,
-        memory: Batch,
-        slots: Tensor,
+        memories: list[Batch],
+        slots: list[Tensor],
         states: Tensor | None,
         labels: Tensor | None,
         weight: Tensor | None,
@@ -120,8 +130,8 @@ class ConsistentLearning:
         Args:
             q: observations to values.
             average: (S, P) parameters whose values are the targets.
-            memory: (S, N, …) all transitions.
-            slots: (S, B) those that are learnt from.
+            memories: (S, N, …) each, all transitions.
+            slots: of each memory those that are learnt from, (S, B) together.
             states: (S, B, obs) of the expert; None leaves the second part out.
             labels: (S, B) their actions.
             weight: () of the second part.
@@ -131,7 +141,7 @@ class ConsistentLearning:
         errors = td_errors(
             q,
             lambda x: architecture.forward(by_name(architecture, average), x),
-            memory.at(slots),
+            joined([memory.at(at) for memory, at in zip(memories, slots, strict=True)]),
             config.discount**config.n_steps,
             double=False,
         )
@@ -149,6 +159,7 @@ class ConsistentLearning:
             "unit": self.unit,
             "optimizer": self._optimizer.state_dict(),
             "replay": self.replay.state_dict(),
+            "prior": None if self.prior is None else self.prior.state_dict(),
             "streams": {name: each.state_dict() for name, each in self._streams.items()},
         }
 
@@ -159,5 +170,7 @@ class ConsistentLearning:
         self.unit.copy_(state["unit"])
         self._optimizer.load_state_dict(state["optimizer"])
         self.replay.load_state_dict(state["replay"])
+        if self.prior is not None:
+            self.prior.load_state_dict(state["prior"])
         for name, each in self._streams.items():
             each.load_state_dict(state["streams"][name])

@@ -20,6 +20,7 @@ from ril.schema import RILConsistentConfig
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Consistent, Network
+from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 
 
@@ -54,9 +55,12 @@ class ConsistentRIL(RIL):
             settings.temperature,
             horizon,
         )
+        pre_steps = config.goal_sampler.pre_steps_per_action * actions
+        prior = Replay(len(task.seeds), pre_steps, size, task.device)
         self.learning = ConsistentLearning(
             Network.initialise(architecture, task.seeds, "policy", task.device),
             empty_memory(settings.replay_trajectories, task),
+            prior if settings.replay_pre and config.imitation else None,
             settings,
             task.seeds,
             # One of its updates is worth five of Q-learning's, whose networks it evaluates once.
@@ -67,9 +71,9 @@ class ConsistentRIL(RIL):
         return self.learning.policy
 
     def _begin_with(self, pre: list[tuple[Episodes, NDArray[np.bool_]]]) -> None:
-        if self.q_learning_config.replay_pre and self.config.reinforcement:
+        if self.learning.prior is not None:
             for episodes, keep in pre:
-                self.learning.remember(episodes, keep)
+                self.learning.remember(self.learning.prior, episodes, keep)
 
     def _clone(self, labels: Tensor) -> NDArray[np.float64]:
         """Line 9, which is left to line 13 where there is one; returns (S,) the loss so far."""
@@ -83,7 +87,7 @@ class ConsistentRIL(RIL):
     def _correct(self, episodes: Episodes, labels: Tensor | None) -> Metrics:
         """Lines 9 and 13, after one episode of each seed."""
         settings = self.q_learning_config
-        self.learning.remember(episodes)
+        self.learning.remember(self.learning.replay, episodes)
         ablation, weight = self.task.ablation, settings.imitation_weight
         if settings.fade:
             weight *= 1 - positive_limit(self.epoch - 1, ablation.n, ablation.k)
