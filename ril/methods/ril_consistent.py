@@ -55,9 +55,7 @@ class ConsistentRIL(RIL):
             empty_memory(settings.replay_trajectories, task),
             settings,
             task.seeds,
-            fused=worth_compiling(
-                task.compile, config.epochs * config.episodes * settings.updates
-            ),
+            fused=worth_compiling(task.compile, config.epochs * config.episodes * settings.updates),
         )
         return self.learning.policy
 
