@@ -141,6 +141,19 @@ def test_a_quick_look_can_be_larger(compose: Any) -> None:
     assert (config.method.total_timesteps, config.seeds) == (77, [4])
 
 
+@pytest.mark.parametrize("env", NAMES)
+def test_consistent_ril_is_set_as_ril_but_for_its_corrections(compose: Any, env: str) -> None:
+    ril, found = (
+        {
+            key: value
+            for key, value in leaves(compose(f"env={env}", f"method={method}").method)
+            if not key.startswith("q_learning.")
+        }
+        for method in ("ril", "ril_consistent")
+    )
+    assert found == ril | {"name": "ril_consistent"}
+
+
 # What the paper says of RIL* (§6.2), and what it has of its own: docs/ril.md.
 SEQUENTIALS_OWN = {
     "name": "ril_sequential",
@@ -430,6 +443,39 @@ def test_a_value_of_dqn_at_its_bounds_is_taken(key: str, value: Any) -> None:
     assert at(checked(key, value, "dqn"), key) == value
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("tau", 2, "within 1e-06..1"),
+        ("tau", 0, "within 1e-06..1"),
+        ("tau", float("nan"), "within 1e-06..1"),
+        ("imitation_weight", -0.1, "0 or more"),
+        ("temperature", 0, "above 0"),
+        ("n_steps", 0, "above 0"),
+        ("value_hidden", [64, 0], "above 0"),
+        ("replay_trajectories", 0, "above 0"),
+        ("discount", 1.1, "within 0..1"),
+        ("loss", "l1", "one of huber, mse"),
+    ],
+)
+def test_a_value_of_consistent_ril_out_of_bounds_is_refused_by_name(
+    key: str, value: Any, says: str
+) -> None:
+    with pytest.raises(UserError) as refused:
+        checked(f"method.q_learning.{key}", value, "ril_consistent")
+    assert str(refused.value).startswith(f"method.q_learning.{key}=")
+    assert says in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("tau", 1), ("imitation_weight", 0), ("value_hidden", []), ("discount", 1), ("n_steps", 1)],
+)
+def test_a_value_of_consistent_ril_at_its_bounds_is_taken(key: str, value: Any) -> None:
+    key = f"method.q_learning.{key}"
+    assert at(checked(key, value, "ril_consistent"), key) == value
+
+
 def identifier(compose: Any, *overrides: str, sha256: str = "0") -> str:
     return run_id(compose(*overrides), sha256)
 
@@ -472,13 +518,14 @@ def leaves(node: Any, key: str = "") -> list[tuple[str, Any]]:
     return [(key, node)]
 
 
-def test_run_id_depends_on_every_other_key(compose: Any) -> None:
-    plain = identifier(compose)
-    for key, value in leaves(compose()):
+@pytest.mark.parametrize("method", ["ril", "ril_consistent"])
+def test_run_id_depends_on_every_other_key(compose: Any, method: str) -> None:
+    plain = identifier(compose, f"method={method}")
+    for key, value in leaves(compose(f"method={method}")):
         free = ("compile", "output_dir", "resume", "demonstrations", "processes", "logging")
         if key in (*free, "env.vectorized"):
             continue
-        config = compose()
+        config = compose(f"method={method}")
         parent, _, name = key.rpartition(".")
         node = at(config, parent) if parent else config
         setattr(node, name, [9] if isinstance(value, list) else f"other than {value}")
@@ -546,7 +593,7 @@ def test_run_id_does_not_depend_on_compilation_where_nothing_is_compiled(compose
         assert identifier(compose, f"method={method}", f"compile={compiled}") == usual
 
 
-@pytest.mark.parametrize("method", ["ril", "iupe", "bc"])
+@pytest.mark.parametrize("method", ["ril", "ril_consistent", "iupe", "bc"])
 def test_run_id_of_imitation_depends_on_compilation_that_is_asked_for(
     compose: Any, method: str
 ) -> None:

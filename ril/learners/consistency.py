@@ -10,10 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.learners.td import n_step, td_errors, td_losses
+from ril.learners.td import n_step, taken, td_errors, td_losses
 from ril.schema import ConsistencyConfig
 from ril.vectorized.descent import descent
-from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Consistent, Network, by_name, parameter_count
 from ril.vectorized.replay import Batch, Replay, joined, random_indices
 from ril.vectorized.rollout import Episodes
@@ -108,7 +107,8 @@ class ConsistentLearning:
                 chosen = shown[:, update]
                 scale = torch.tensor(weight, device=device)
                 anchor = states[chosen], labels.gather(1, chosen), scale
-            at = [chosen[:, update] for chosen in slots]
+            # A compiled graph refuses other strides than its first.
+            at = [drawn[:, update].contiguous() for drawn in slots]
             _, *losses = self._descend(self._average.flat, memories, at, *anchor)
             totals += torch.stack([each.mean(dim=1) for each in losses])
             self._average.flat.lerp_(self.network.flat, config.tau)
@@ -148,7 +148,10 @@ class ConsistentLearning:
         td = td_losses(errors, config.loss)
         if states is None or labels is None or weight is None:
             return td, td, torch.zeros_like(td)
-        cloning = cross_entropy(q(states) / architecture.temperature, labels)
+        logits = q(states) / architecture.temperature
+        # Cross-entropy; compiled together with the above, torch's own is rounded otherwise for
+        # one seed alone than for several.
+        cloning = logits.logsumexp(dim=-1) - taken(logits, labels)
         return td + weight * cloning, td, cloning
 
     def state_dict(self) -> dict[str, Any]:

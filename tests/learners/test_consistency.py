@@ -1,0 +1,420 @@
+from __future__ import annotations
+
+import shutil
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from references import Adam, copies_of, flat_of
+from states import assert_equal_states, copied
+from torch import Tensor, nn
+from torch.nn import functional
+
+from ril.learners.consistency import ConsistentLearning
+from ril.schema import ConsistencyConfig
+from ril.vectorized.networks import MLP, Consistent, Network, parameter_count
+from ril.vectorized.replay import Replay, random_indices
+from ril.vectorized.rollout import Episodes
+from ril.vectorized.streams import Streams
+
+CPU = torch.device("cpu")
+SEEDS = (0, 1)
+SIZE, ACTIONS, BATCH = 2, 3, 8
+TEMPERATURE, SCALE = 0.3, 4.0
+VALUE = MLP(SIZE, (5,), 1)
+ARCHITECTURE = Consistent(VALUE, MLP(SIZE, (6,), ACTIONS), TEMPERATURE, SCALE)
+OF_VALUE = parameter_count(VALUE)
+DISCOUNT, STEPS, TAU = 0.9, 3, 0.1
+CLIP, RATE = 0.05, 0.01
+
+needs_compiler = pytest.mark.skipif(
+    not any(shutil.which(name) for name in ("g++", "clang++", "c++")), reason="no C++ compiler"
+)
+
+
+def config(**changes: object) -> ConsistencyConfig:
+    values: dict[str, Any] = {
+        "learning_rate": RATE,
+        "updates": 6,
+        "batch_size": BATCH,
+        "gradient_clip": CLIP,
+        "discount": DISCOUNT,
+        "loss": "huber",
+        "n_steps": STEPS,
+        "tau": TAU,
+        "value_hidden": [5],
+        "temperature": TEMPERATURE,
+        "imitation_weight": 1.0,
+        "fade": True,
+        "replay_trajectories": 10.0,
+        "replay_pre": True,
+    }
+    return ConsistencyConfig(**(values | changes))
+
+
+def episodes(
+    seeds: tuple[int, ...] = SEEDS, *, per_seed: int = 3, begin: int = 0, scale: float = 1.0
+) -> Episodes:
+    """Random ones, which depend on their own seed alone; every other one is cut."""
+    length, count = 12, len(seeds) * per_seed
+    drawn = []
+    for seed in seeds:
+        numbers = np.random.default_rng([seed, begin])
+        states = numbers.normal(size=(2, per_seed, length, SIZE)).astype(np.float32)
+        lengths = numbers.integers(6, length + 1, size=per_seed)
+        rewards = scale * numbers.normal(size=(per_seed, length)).astype(np.float32)
+        rewards[np.arange(length) >= lengths[:, None]] = 0.0
+        actions = numbers.integers(ACTIONS, size=(per_seed, length))
+        drawn.append((states[0], actions, rewards, states[1], lengths))
+    observations, actions, rewards, following, lengths = map(
+        np.concatenate, zip(*drawn, strict=True)
+    )
+    terminated = np.zeros((count, length), dtype=bool)
+    terminated[np.arange(count), lengths - 1] = np.arange(count) % per_seed % 2 == 0
+    return Episodes(observations, actions, rewards, following, terminated, lengths)
+
+
+def expert(seeds: tuple[int, ...] = SEEDS) -> tuple[Tensor, Tensor]:
+    """States, and each seed's labels for them."""
+    states = np.random.default_rng(5).normal(size=(11, SIZE)).astype(np.float32)
+    labels = [np.random.default_rng([5, seed]).integers(ACTIONS, size=11) for seed in seeds]
+    return torch.from_numpy(states), torch.from_numpy(np.stack(labels))
+
+
+def learner(
+    seeds: tuple[int, ...] = SEEDS,
+    *,
+    architecture: Consistent = ARCHITECTURE,
+    filled: bool = True,
+    fused: bool = False,
+    **changes: object,
+) -> ConsistentLearning:
+    """A learner; a filled one remembers three episodes of each seed."""
+    network = Network.initialise(architecture, seeds, "policy", CPU)
+    with torch.no_grad():
+        for name, parameter in network.parameters.items():
+            if name.endswith("gamma"):  # at 0, Adam makes whole steps of what is but rounding
+                parameter.fill_(0.5)
+    replay = Replay(len(seeds), 60, SIZE, CPU)
+    # Empty slots must never be learnt from.
+    replay.observations.fill_(torch.nan)
+    learning = ConsistentLearning(network, replay, config(**changes), seeds, fused=fused)
+    if filled:
+        learning.remember(episodes(seeds))
+    return learning
+
+
+class Agent(nn.Module):
+    """One seed's value and policy, whose values are V + τ·log π."""
+
+    def __init__(self, value: nn.Sequential, policy: nn.Sequential) -> None:
+        super().__init__()
+        self.value, self.policy = value, policy
+
+    def forward(self, states: Tensor) -> Tensor:
+        log_chances = self.policy(states).softmax(dim=1).log()
+        return SCALE * self.value(states) + TEMPERATURE * log_chances
+
+    def flat(self) -> Tensor:
+        return torch.cat([flat_of(self.value), flat_of(self.policy)])
+
+
+def agents_of(flat: Tensor) -> list[Agent]:
+    """Each seed's agent, of parameters of both streams (S, P)."""
+    values = copies_of(Network(VALUE, flat[:, :OF_VALUE]))
+    policies = copies_of(Network(ARCHITECTURE.policy, flat[:, OF_VALUE:]))
+    return [Agent(*each) for each in zip(values, policies, strict=True)]
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+@pytest.mark.parametrize("loss", ["huber", "mse"])
+def test_training_is_that_of_one_agent_per_seed(loss: str, labelled: bool) -> None:
+    learning = learner(loss=loss)
+    states, labels = expert()
+    agents, averages = agents_of(learning.network.flat), agents_of(learning.network.flat)
+    weights = {6: 0.7, 9: 0.2}  # by the number of updates that they hold for
+    found = [
+        learning.train(updates, states, labels if labelled else None, weight)
+        for updates, weight in weights.items()
+    ]
+
+    replay = learning.replay
+    batches, cloning = (Streams(SEEDS, f"{what} batches") for what in ("replay", "cloning"))
+    optimizers = [Adam(agent, RATE, CLIP) for agent in agents]
+    distance = {"huber": functional.huber_loss, "mse": functional.mse_loss}[loss]
+    disagreements = 0
+    for (updates, weight), (td_losses, cloning_losses) in zip(weights.items(), found, strict=True):
+        drawn = random_indices(batches.uniform(updates, BATCH), replay.sizes)
+        shown = random_indices(cloning.uniform(updates, BATCH), np.full(2, len(states)))
+        totals = torch.zeros(2, len(SEEDS))
+        for update in range(updates):
+            for seed, (agent, average) in enumerate(zip(agents, averages, strict=True)):
+                at, of_expert = drawn[seed, update], shown[seed, update]
+                with torch.no_grad():
+                    following = replay.next_observations[seed, at]
+                    aimed, chosen = average(following), agent(following).argmax(dim=1)
+                    disagreements += int((chosen != aimed.argmax(dim=1)).sum())
+                    best = aimed[torch.arange(BATCH), chosen]
+                    goes_on = 1 - replay.terminated[seed, at]
+                    target = replay.rewards[seed, at] + DISCOUNT**STEPS * goes_on * best
+                values = agent(replay.observations[seed, at])
+                td = distance(values[torch.arange(BATCH), replay.actions[seed, at]], target)
+                total, totals[0, seed] = td, totals[0, seed] + td.detach()
+                if labelled:
+                    logits = agent(states[of_expert]) / TEMPERATURE
+                    imitated = functional.cross_entropy(logits, labels[seed, of_expert])
+                    total = td + weight * imitated
+                    totals[1, seed] += imitated.detach()
+                optimizers[seed].step(total)
+                with torch.no_grad():
+                    pairs = zip(average.parameters(), agent.parameters(), strict=True)
+                    for old, new in pairs:
+                        old.lerp_(new, TAU)
+        expected = totals / updates
+        torch.testing.assert_close(td_losses, expected[0], rtol=1e-3, atol=1e-5)
+        torch.testing.assert_close(cloning_losses, expected[1], rtol=1e-3, atol=1e-5)
+    assert disagreements > 2  # so that double targets make a difference
+    flats, of_averages = (torch.stack([a.flat() for a in each]) for each in (agents, averages))
+    torch.testing.assert_close(learning.network.flat, flats, rtol=1e-3, atol=1e-5)
+    torch.testing.assert_close(
+        learning.policy.flat, of_averages[:, OF_VALUE:], rtol=1e-3, atol=1e-5
+    )
+    torch.testing.assert_close(learning.state_dict()["average"], of_averages, rtol=1e-3, atol=1e-5)
+
+
+def test_a_seeds_training_does_not_depend_on_other_seeds() -> None:
+    flats = []
+    for seeds in ((5,), (3, 5, 9)):
+        learning = learner(seeds)
+        learning.train(10, *expert(seeds), 1.0)
+        flats.append((learning.network.flat, learning.policy.flat))
+    for of_alone, of_several in zip(*flats, strict=True):
+        assert torch.equal(of_several[1], of_alone[0])
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_no_updates_change_no_parameter(labelled: bool) -> None:
+    learning = learner()
+    states, labels = expert()
+    before = copied(learning.state_dict())
+    losses = learning.train(0, states, labels if labelled else None, 1.0)
+    assert [loss.tolist() for loss in losses] == [[0.0, 0.0], [0.0, 0.0]]
+    assert_equal_states(learning.state_dict(), before)
+
+
+def test_without_weight_labels_leave_the_training_as_without_them() -> None:
+    with_labels, without = learner(), learner()
+    states, labels = expert()
+    td_losses = []
+    for learning, given in ((with_labels, labels), (without, None)):
+        td_loss, cloning_loss = learning.train(12, states, given, 0.0)
+        td_losses.append(td_loss)
+        assert cloning_loss.any() == (given is not None)
+    assert torch.equal(*td_losses)
+    assert torch.equal(with_labels.network.flat, without.network.flat)
+    assert torch.equal(with_labels.policy.flat, without.policy.flat)
+
+
+def test_weight_makes_a_difference() -> None:
+    flats = []
+    for weight in (0.0, 0.5, 1.0):
+        learning = learner()
+        learning.train(3, *expert(), weight)
+        flats.append(learning.network.flat)
+    assert not torch.equal(flats[0], flats[1])
+    assert not torch.equal(flats[1], flats[2])
+
+
+def test_labels_are_imitated() -> None:
+    """By the policy that acts; and by the more of them, the more they weigh."""
+    states, labels = expert()
+    agreement = []
+    for weight in (0.0, 10.0):
+        learning = learner(tau=0.05, gradient_clip=None)
+        learning.train(400, states, labels, weight)
+        greedy = learning.policy(states.expand(2, -1, -1)).argmax(dim=-1)
+        agreement.append((greedy == labels).float().mean().item())
+    assert agreement[0] < 0.7 < 0.9 < agreement[1]
+
+
+def rewards_in(replay: Replay, seed: int) -> list[float]:
+    return replay.rewards[seed, : replay.sizes[seed]].tolist()
+
+
+def rewards_of_a_loop(played: Episodes, unit: float) -> list[float]:
+    """Of one seed's transitions over n steps, in their order."""
+    found = []
+    for k, (length, ended) in enumerate(zip(played.lengths, played.ends, strict=True)):
+        for t in range(length if ended else length - STEPS + 1):
+            ahead = range(min(STEPS, length - t))
+            found.append(sum(DISCOUNT**i * float(played.rewards[k, t + i]) for i in ahead) / unit)
+    return found
+
+
+def of_seed(played: Episodes, index: int, per_seed: int = 3) -> Episodes:
+    rows = slice(index * per_seed, (index + 1) * per_seed)
+    return Episodes(*(values[rows] for values in vars(played).values()))
+
+
+def mean_size(played: Episodes) -> float:
+    """Mean |reward| of the steps of one seed's episodes."""
+    sizes = [
+        abs(reward)
+        for rewards, length in zip(played.rewards.tolist(), played.lengths, strict=True)
+        for reward in rewards[:length]
+    ]
+    return sum(sizes) / len(sizes)
+
+
+def test_rewards_are_remembered_in_units_of_their_size_in_the_first_episodes() -> None:
+    learning = learner(filled=False)
+    first = episodes(scale=7.0)
+    learning.remember(first)
+    for seed in range(len(SEEDS)):
+        own = of_seed(first, seed)
+        unit = mean_size(own)
+        assert unit > 3
+        assert learning.unit[seed].item() == pytest.approx(unit)
+        expected = rewards_of_a_loop(own, unit)
+        assert rewards_in(learning.replay, seed) == pytest.approx(expected, rel=1e-4, abs=1e-5)
+    assert learning.unit[0] != learning.unit[1]
+
+
+def test_later_episodes_do_not_change_the_unit() -> None:
+    learning = learner(filled=False)
+    first, later = episodes(scale=7.0), episodes(begin=1, scale=0.01)
+    learning.remember(first)
+    before, stored = learning.unit.clone(), learning.replay.sizes.copy()
+    learning.train(3, *expert(), 1.0)
+    learning.remember(later)
+    assert torch.equal(learning.unit, before)
+    for seed in range(len(SEEDS)):
+        found = rewards_in(learning.replay, seed)[stored[seed] :]
+        expected = rewards_of_a_loop(of_seed(later, seed), mean_size(of_seed(first, seed)))
+        assert found == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+def test_where_all_rewards_are_0_the_unit_is_1_for_good() -> None:
+    learning = learner(filled=False)
+    learning.remember(episodes(scale=0.0))
+    assert learning.unit.tolist() == [1.0, 1.0]
+    learning.remember(episodes(begin=1, scale=100.0))
+    assert learning.unit.tolist() == [1.0, 1.0]
+
+
+def test_only_the_episodes_that_are_kept_are_remembered() -> None:
+    learning = learner(filled=False)
+    played = episodes()
+    keep = np.array([True, False, True, False, False, True])
+    learning.remember(played, keep)
+    for seed in range(len(SEEDS)):
+        own, kept = of_seed(played, seed), keep[3 * seed : 3 * seed + 3]
+        expected = rewards_of_a_loop(
+            Episodes(*(values[kept] for values in vars(own).values())), mean_size(own)
+        )
+        assert rewards_in(learning.replay, seed) == pytest.approx(expected, rel=1e-4, abs=1e-5)
+
+
+def policy_stream_of(flat: Tensor) -> Tensor:
+    """(S, B, |A|) logits of the policies among parameters of both streams (S, P)."""
+    states = expert()[0]
+    with torch.no_grad():
+        return torch.stack([agent.policy(states) for agent in agents_of(flat)])
+
+
+def logits_of(learning: ConsistentLearning) -> Tensor:
+    return learning.policy(expert()[0].expand(2, -1, -1)).detach()
+
+
+def test_the_policy_begins_as_the_networks_own() -> None:
+    learning = learner()
+    expected = policy_stream_of(learning.network.flat)
+    torch.testing.assert_close(logits_of(learning), expected)
+    assert learning.policy.architecture == ARCHITECTURE.policy
+
+
+def test_the_policy_is_that_of_the_average_and_moves_with_it() -> None:
+    learning = learner()
+    before = logits_of(learning)
+    learning.train(10, *expert(), 1.0)
+    average = learning.state_dict()["average"]
+    torch.testing.assert_close(logits_of(learning), policy_stream_of(average))
+    assert not torch.allclose(logits_of(learning), before)
+    assert not torch.allclose(logits_of(learning), policy_stream_of(learning.network.flat))
+
+
+def test_the_policy_lies_in_the_averages_memory() -> None:
+    learning = learner()
+    learning.policy.flat.fill_(0.25)
+    average = learning.state_dict()["average"]
+    assert (average[:, OF_VALUE:] == 0.25).all()
+    assert not (average[:, :OF_VALUE] == 0.25).any()
+
+
+def test_where_the_average_moves_all_the_way_the_policy_is_the_networks_own() -> None:
+    learning = learner(tau=1.0)
+    learning.train(5, *expert(), 1.0)
+    torch.testing.assert_close(learning.policy.flat, learning.network.flat[:, OF_VALUE:])
+
+
+def test_a_saved_state_goes_on_alike() -> None:
+    learning = learner()
+    states, labels = expert()
+    learning.train(6, states, labels, 1.0)
+    resumed = learner(filled=False)
+    resumed.load_state_dict(copied(learning.state_dict()))
+    assert_equal_states(copied(resumed.state_dict()), copied(learning.state_dict()))
+    assert torch.equal(resumed.policy.flat, learning.policy.flat)
+    losses = []
+    for each in (learning, resumed):
+        each.remember(episodes(begin=1, scale=3.0))  # in the first ones' unit
+        losses.append(each.train(5, states, labels, 0.5))
+    assert all(map(torch.equal, *losses))
+    assert torch.equal(resumed.policy.flat, learning.policy.flat)
+    assert_equal_states(copied(resumed.state_dict()), copied(learning.state_dict()))
+
+
+# Sizes as in conf/, since which kernel multiplies depends on them. But values are small: where all
+# slopes of Huber's loss are ±1, gradients may cancel, and Adam makes whole steps of the rest.
+AS_CONFIGURED = Consistent(MLP(SIZE, (64, 64), 1), MLP(SIZE, (8, 8), ACTIONS), 0.1, 1.0)
+
+
+def trained(seeds: tuple[int, ...], labelled: bool, *, fused: bool) -> list[Tensor]:
+    """Parameters of network and average, and losses, after two parts of a training."""
+    learning = learner(
+        seeds, architecture=AS_CONFIGURED, fused=fused, batch_size=64, learning_rate=1e-3
+    )
+    states, labels = expert(seeds)
+    losses = [
+        torch.stack(learning.train(updates, states, labels if labelled else None, weight))
+        for updates, weight in ((12, 0.7), (8, 0.2))
+    ]
+    return [learning.network.flat, learning.state_dict()["average"], *losses]
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["labelled", "rewards alone"])
+def among(request: pytest.FixtureRequest) -> tuple[bool, list[Tensor]]:
+    """Whether there are labels, and what a compiled training of three seeds gave."""
+    return request.param, trained((3, 5, 9), request.param, fused=True)
+
+
+@needs_compiler
+def test_compiled_training_is_the_eager_one_but_for_rounding(among: Any) -> None:
+    labelled, found = among
+    expected = trained((3, 5, 9), labelled, fused=False)
+    before = learner((3, 5, 9), architecture=AS_CONFIGURED).network.flat
+    assert (expected[0] - before).abs().max() > 0.01  # many times the tolerance
+    assert not all(map(torch.equal, found, expected))  # so it was compiled
+    for values, of_eager in zip(found, expected, strict=True):
+        torch.testing.assert_close(values, of_eager, rtol=1e-3, atol=1e-4)
+
+
+@needs_compiler
+def test_a_seeds_compiled_training_does_not_depend_on_other_seeds(among: Any) -> None:
+    labelled, (network, average, *losses) = among
+    alone_network, alone_average, *alone_losses = trained((5,), labelled, fused=True)
+    assert torch.equal(network[1], alone_network[0])
+    assert torch.equal(average[1], alone_average[0])
+    for of_several, of_alone in zip(losses, alone_losses, strict=True):
+        assert torch.equal(of_several[:, 1], of_alone[:, 0])

@@ -1,0 +1,368 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from conftest import Silence
+from states import assert_equal_states, copied
+from torch import Tensor
+
+from ril.errors import UserError
+from ril.evaluation import Evaluation
+from ril.experiment import run
+from ril.learners.consistency import ConsistentLearning
+from ril.learners.exploration import Explorer
+from ril.learners.td import n_step
+from ril.methods.base import Progress
+from ril.methods.ril import RIL
+from ril.methods.ril_consistent import ConsistentRIL
+from ril.schema import Config
+from ril.task import Task
+from ril.vectorized.networks import MLP, Consistent, Network
+from ril.vectorized.replay import Replay
+from ril.vectorized.rollout import Episodes
+
+CPU = torch.device("cpu")
+MakeTask = Callable[[Config], Task]
+Make = Callable[..., ConsistentRIL]
+
+
+@pytest.fixture
+def make(quick: Any, make_task: MakeTask) -> Make:
+    """Consistent RIL on the quick configuration, with overrides."""
+
+    def made(*overrides: str) -> ConsistentRIL:
+        config = quick("method=ril_consistent", *overrides)
+        return ConsistentRIL(config.method, make_task(config))
+
+    return made
+
+
+def trained(method: RIL) -> list[Progress]:
+    return list(method.train())
+
+
+def test_without_reinforcement_it_imitates_as_ril_does(
+    make: Make, quick: Any, make_task: MakeTask
+) -> None:
+    settings = ("method.reinforcement=false", "method.epochs=8")
+    method, config = make(*settings), quick("method=ril", *settings)
+    ril = RIL(config.method, make_task(config))
+    assert method.policy.architecture == ril.policy.architecture
+    ril.policy.flat.copy_(method.policy.flat)
+    for found, expected in zip(trained(method), trained(ril), strict=True):
+        assert found.metrics.keys() == expected.metrics.keys()
+        for name, values in expected.metrics.items():
+            np.testing.assert_array_equal(found.metrics[name], values, err_msg=name)
+        assert found.pseudo_labels is not None
+        np.testing.assert_array_equal(found.pseudo_labels, expected.pseudo_labels)
+        np.testing.assert_array_equal(found.env_samples, expected.env_samples)
+    assert torch.equal(method.policy.flat, ril.policy.flat)
+    states = [each.state_dict()["parts"]["imitation"] for each in (method, ril)]
+    assert_equal_states(*states)
+
+
+def test_without_reinforcement_nothing_is_learnt_from_rewards(make: Make) -> None:
+    method = make("method.reinforcement=false")
+    before = copied(method.state_dict())["parts"]["learning"]
+    trained(method)
+    after = method.state_dict()["parts"]["learning"]
+    assert method.config.q_learning.replay_pre
+    for name in ("network", "unit", "optimizer", "replay", "streams"):
+        assert_equal_states(after[name], before[name], name)
+
+
+def rewards_alone(method: ConsistentRIL, epochs: int, epsilon: float) -> Network:
+    """The same learner, given an episode of each seed after the other, and no label."""
+    config, task = method.config, method.task
+    settings, size = config.q_learning, task.environment.observation_size
+    shape = method.learning.network.architecture
+    capacity = round(500 * len(task.expert.observations) / task.expert.trajectories)
+    learning = ConsistentLearning(
+        Network.initialise(shape, task.seeds, "policy", CPU),
+        Replay(len(task.seeds), capacity, size, CPU),
+        settings,
+        task.seeds,
+    )
+    explorer = Explorer(config.exploration, task, learning.policy)
+    nothing = torch.zeros(1, size)
+    for _ in range(epochs):
+        learning.remember(explorer.play(np.full(len(task.seeds), epsilon)))
+        learning.train(settings.updates, nothing, None, 0.0)
+    return learning.policy
+
+
+def test_without_imitation_it_learns_from_rewards_alone(make: Make) -> None:
+    method = make("method.imitation=false", "method.epochs=8", "method.exploration.epsilon=0.3")
+    before = method.policy.flat.clone()
+    trained(method)
+    assert torch.equal(method.policy.flat, rewards_alone(method, 8, 0.3).flat)
+    assert (method.policy.flat != before).any(dim=1).all()
+
+
+def test_without_imitation_nothing_is_imitated(make: Make) -> None:
+    method = make("method.imitation=false")
+    before = copied(method.state_dict())["parts"]["imitation"]["parts"]
+    progress = trained(method)
+    after = method.state_dict()["parts"]["imitation"]["parts"]
+    for name in ("inverse_dynamics", "cloning", "pre", "stopping"):
+        assert_equal_states(after[name], before[name], name)
+    for each in progress:
+        assert each.expert_samples.tolist() == [0, 0]
+        assert each.pre_samples == 0
+        assert each.pseudo_labels is None
+        assert "cloning_loss" not in each.metrics
+        assert "td_loss" in each.metrics
+
+
+def test_without_both_nothing_would_learn(make: Make) -> None:
+    with pytest.raises(UserError, match="nothing would learn"):
+        make("method.imitation=false", "method.reinforcement=false")
+
+
+def stored(replay: Replay, seed: int) -> list[Tensor]:
+    return [each[seed, : replay.sizes[seed]] for each in replay.everything()]
+
+
+@pytest.mark.parametrize("replay_pre", [True, False])
+def test_random_transitions_are_learnt_from_where_that_is_asked_for(
+    make: Make, monkeypatch: pytest.MonkeyPatch, replay_pre: bool
+) -> None:
+    settings = f"method.q_learning.replay_pre={str(replay_pre).lower()}"
+    method, other = make(settings), make(settings)
+    own: list[Episodes] = []
+    play = Explorer.play
+
+    def recorded(explorer: Explorer, epsilon: Any) -> Episodes:
+        own.append(play(explorer, epsilon))
+        return own[-1]
+
+    monkeypatch.setattr(Explorer, "play", recorded)
+    progress = trained(method)
+    assert len(own) == len(progress) == 3
+
+    memory = Replay(2, method.learning.replay.capacity, 4, CPU)
+    pre = other.imitation.generate_pre()
+    assert len(pre) > 0
+    config, unit = method.config.q_learning, method.learning.unit.numpy()
+    for episodes, keep in pre if replay_pre else ():
+        memory.append(n_step(episodes, config.n_steps, config.discount, unit.repeat(10)), keep)
+    of_pre = memory.sizes.copy()
+    for episodes in own:
+        memory.append(n_step(episodes, config.n_steps, config.discount, unit))
+    assert (of_pre >= method.imitation.pre.capacity).all() or not replay_pre
+    assert method.learning.replay.sizes.tolist() == memory.sizes.tolist()
+    for seed in range(2):
+        for found, expected in zip(
+            stored(method.learning.replay, seed), stored(memory, seed), strict=True
+        ):
+            assert torch.equal(found, expected)
+
+
+def test_rewards_are_in_units_of_those_of_the_first_episodes(make: Make) -> None:
+    assert make().learning.unit.tolist() == [0.0, 0.0]  # not known yet
+    method = make()
+    trained(method)
+    assert method.learning.unit.tolist() == [1.0, 1.0]  # CartPole pays 1 for each step
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """What the learner's training is given, and what it answers; it goes on as usual."""
+    recorded: list[dict[str, Any]] = []
+    train = ConsistentLearning.train
+
+    def called(
+        self: ConsistentLearning, updates: int, states: Tensor, labels: Any, weight: float
+    ) -> tuple[Tensor, Tensor]:
+        losses = train(self, updates, states, labels, weight)
+        given = {"updates": updates, "states": states, "labels": labels, "weight": weight}
+        recorded.append(given | {"losses": losses})
+        return losses
+
+    monkeypatch.setattr(ConsistentLearning, "train", called)
+    return recorded
+
+
+WEIGHT_OF_2 = "method.q_learning.imitation_weight=2"
+
+
+@pytest.mark.parametrize("upper_limit", [True, False])
+def test_the_weight_of_imitation_falls_with_equation_2(
+    make: Make, calls: list[dict[str, Any]], upper_limit: bool
+) -> None:
+    trained(
+        make(
+            "method.epochs=6",
+            "ablation.n=4",
+            "ablation.k=2",
+            f"method.goal_sampler.upper_limit={str(upper_limit).lower()}",
+            WEIGHT_OF_2,
+        )
+    )
+    # 1 / (1 + (4/e − 1)^(−2)) at e = 0, 1, …
+    expected = [1, 1 / (1 + 3**-2), 1 / (1 + 1), 1 / (1 + 3**2), 0, 0]
+    assert [call["weight"] for call in calls] == pytest.approx([2 * each for each in expected])
+
+
+def test_the_weight_of_imitation_falls_as_steeply_as_k_says(
+    make: Make, calls: list[dict[str, Any]]
+) -> None:
+    trained(make("method.epochs=3", "ablation.n=4", "ablation.k=1"))
+    expected = [1, 1 / (1 + 3**-1), 1 / (1 + 1)]
+    assert [call["weight"] for call in calls] == pytest.approx(expected)
+
+
+def test_the_weight_of_imitation_stays_where_it_is_not_to_fade(
+    make: Make, calls: list[dict[str, Any]]
+) -> None:
+    trained(make("method.epochs=6", "method.q_learning.fade=false", WEIGHT_OF_2))
+    assert [call["weight"] for call in calls] == [2] * 6
+
+
+def test_each_episode_is_followed_by_updates_on_the_labels_of_its_epoch(
+    make: Make, calls: list[dict[str, Any]]
+) -> None:
+    method = make("method.episodes=2", "method.q_learning.updates=3")
+    progress = trained(method)
+    assert [call["updates"] for call in calls] == [3] * 6
+    for index, call in enumerate(calls):
+        labels = progress[index // 2].pseudo_labels
+        assert labels is not None
+        np.testing.assert_array_equal(call["labels"].numpy(), labels)
+        expert = torch.from_numpy(method.task.expert.observations)
+        assert torch.equal(call["states"], expert)
+
+
+def test_losses_are_means_over_the_episodes_of_an_epoch(
+    make: Make, calls: list[dict[str, Any]]
+) -> None:
+    for epoch, each in enumerate(trained(make("method.episodes=2"))):
+        both = zip(*(call["losses"] for call in calls[2 * epoch : 2 * epoch + 2]), strict=True)
+        for name, losses in zip(("td_loss", "cloning_loss"), both, strict=True):
+            expected = torch.stack(losses).double().mean(dim=0)
+            np.testing.assert_allclose(each.metrics[name], expected)
+            assert (each.metrics[name] > 0).all()
+
+
+def test_labels_without_weight_change_nothing(make: Make) -> None:
+    policies = []
+    for labels in ("argmax", "sample"):
+        method = make(
+            "method.q_learning.imitation_weight=0",
+            "method.exploration.epsilon=0.3",
+            f"method.inverse_dynamics.labels={labels}",
+        )
+        trained(method)
+        policies.append(method.policy.flat)
+    assert torch.equal(*policies)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        (),
+        ("method.q_learning.replay_pre=false", "method.episodes=2"),
+        ("method.imitation=false",),
+        ("method.reinforcement=false",),
+    ],
+)
+def test_going_on_from_a_saved_state_is_as_if_never_stopped(
+    make: Make, overrides: tuple[str, ...]
+) -> None:
+    uninterrupted, stopped, resumed = (make("method.epochs=6", *overrides) for _ in range(3))
+    expected = trained(uninterrupted)
+    epochs = stopped.train()
+    for _ in range(3):
+        next(epochs)
+    resumed.load_state_dict(copied(stopped.state_dict()))
+    rest = trained(resumed)
+    assert [progress.epoch for progress in rest] == [4, 5, 6]
+    for found, progress in zip(rest, expected[3:], strict=True):
+        np.testing.assert_array_equal(found.env_samples, progress.env_samples)
+        for name, values in progress.metrics.items():
+            np.testing.assert_array_equal(found.metrics[name], values, err_msg=name)
+    assert_equal_states(copied(resumed.state_dict()), copied(uninterrupted.state_dict()))
+
+
+def test_the_memory_holds_as_many_mean_expert_trajectories_as_asked(make: Make) -> None:
+    method = make("ablation.trajectories=3", "method.q_learning.replay_trajectories=20")
+    lengths = len(method.task.expert.observations) / 3
+    assert method.learning.replay.capacity == round(20 * lengths)
+
+
+def test_values_have_a_topology_of_their_own_and_the_policy_the_papers(make: Make) -> None:
+    method = make("method.q_learning.value_hidden=[7,5]", "method.q_learning.temperature=0.2")
+    architecture = method.learning.network.architecture
+    assert isinstance(architecture, Consistent)
+    of_policy = MLP(4, (8, 8), 2)  # §4.1
+    assert architecture.policy == method.policy.architecture == of_policy
+    assert architecture.value == replace(of_policy, hidden=(7, 5), outputs=1)
+    assert architecture.temperature == 0.2
+
+
+@pytest.mark.parametrize(
+    ("discount", "scale"), [(0.98, 50), (0.5, 2), (0.0, 1), (0.999, 500), (1.0, 500)]
+)
+def test_values_are_scaled_by_the_steps_that_count(
+    make: Make, discount: float, scale: float
+) -> None:
+    """1 / (1 − γ) of them, but no more than CartPole's 500."""
+    architecture = make(f"method.q_learning.discount={discount}").learning.network.architecture
+    assert isinstance(architecture, Consistent)
+    assert architecture.value_scale == pytest.approx(scale)
+
+
+def test_as_many_steps_as_an_episode_has_are_taken(make: Make) -> None:
+    trained(make("method.q_learning.n_steps=500"))
+
+
+def test_more_steps_than_an_episode_has_are_refused(make: Make) -> None:
+    with pytest.raises(UserError, match=r"^method\.q_learning\.n_steps=501: .*within 1\.\.500"):
+        make("method.q_learning.n_steps=501")
+
+
+def test_the_policy_that_is_saved_has_the_papers_topology(
+    quick: Any, tmp_path: Path, silence: Silence
+) -> None:
+    config = quick("method=ril_consistent", f"output_dir={tmp_path}")
+    content = torch.load(run(config, silence) / "policy.pt", weights_only=True)
+    description = content["architecture"]
+    assert description.pop("kind") == "MLP"
+    architecture = MLP(**description)
+    assert architecture == MLP(4, (8, 8), 2)
+    of_one = sum(rows * columns for rows, columns in architecture.shapes().values())
+    for which in ("best", "last"):
+        assert content[which].shape == (2, of_one)
+        # and nothing of the values, though the policy lies in one memory with them
+        assert content[which].untyped_storage().nbytes() == 2 * of_one * 4
+
+
+@pytest.mark.parametrize("imitation", ["true", "false"])
+def test_it_learns_to_balance_the_pole(quick: Any, make_task: MakeTask, imitation: str) -> None:
+    config = quick(
+        "method=ril_consistent",
+        f"method.imitation={imitation}",
+        "seeds=4",
+        "env.goal.minimum_return=195",
+        "ablation.n=20",
+        "method.epochs=20",
+        "method.goal_sampler.pre_steps_per_action=500",
+        "method.inverse_dynamics.updates=50",
+        "method.inverse_dynamics.learning_rate=0.005",
+        "method.q_learning.updates=100",
+        "method.q_learning.batch_size=32",
+        "method.q_learning.learning_rate=0.003",
+        "method.q_learning.tau=0.02",
+        "method.q_learning.value_hidden=[32,32]",
+    )
+    method = ConsistentRIL(config.method, make_task(config))
+    evaluation = Evaluation(method.task.environment, method.task.seeds)
+    assert evaluation.returns(method.policy, 10, "before").mean() < 50
+    trained(method)
+    assert evaluation.returns(method.policy, 10, "after").mean() > 150
