@@ -97,6 +97,7 @@ class ConsistencyConfig(TemporalDifferenceConfig):
     n_steps: int = MISSING
     tau: float = MISSING
     value_hidden: list[int] = MISSING
+    value_scale: float = MISSING
     temperature: float = MISSING
     imitation_weight: float = MISSING
     fade: bool = MISSING

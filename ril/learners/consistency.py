@@ -26,9 +26,10 @@ class ConsistentLearning:
     Args:
         network: Q(s, a) = V(s) + τ·log π(a | s).
         replay: each seed's memory of its own episodes.
-        prior: of those before it learnt, from which half of each minibatch is drawn; None for none.
         config: `method.q_learning`.
         seeds: S.
+        prior: memory of what was done before it learnt, of which half of each minibatch is drawn,
+            as in RLPD (Ball et al., 2023); None draws from its own episodes alone.
         fused: whether each step is one compiled graph; the same but for rounding.
 
     Attributes:
@@ -40,10 +41,10 @@ class ConsistentLearning:
         self,
         network: Network,
         replay: Replay,
-        prior: Replay | None,
         config: ConsistencyConfig,
         seeds: tuple[int, ...],
         *,
+        prior: Replay | None = None,
         fused: bool = False,
     ) -> None:
         assert isinstance(network.architecture, Consistent)
@@ -62,19 +63,30 @@ class ConsistentLearning:
         self._descend = descent(self._optimizer, self._loss, fused=fused)
 
     def remember(
-        self, memory: Replay, episodes: Episodes, keep: NDArray[np.bool_] | None = None
+        self,
+        episodes: Episodes,
+        keep: NDArray[np.bool_] | None = None,
+        memory: Replay | None = None,
     ) -> None:
-        """Put the transitions of S·N episodes, or of those that `keep` (S·N,) says, into a memory.
+        """Keep the transitions of S·N episodes, or of those that `keep` (S·N,) says.
 
         Rewards are counted in units of their mean size in the first episodes of each seed.
+
+        Args:
+            episodes: as many of each seed, those of one side by side.
+            keep: which of them; None is all.
+            memory: where: in `prior`, or, if None, in `replay`. Of what was done at random, only
+                one step is taken for what the policy would do.
         """
+        steps = self.config.n_steps if memory is None else 1
+        memory = memory or self.replay
         config, seeds = self.config, len(self.unit)
         if not self.unit.any():
             size = np.abs(episodes.rewards).reshape(seeds, -1).sum(axis=1, dtype=np.float64)
             mean = size / episodes.lengths.reshape(seeds, -1).sum(axis=1)
             self.unit.copy_(torch.from_numpy(np.where(mean > 0, mean, 1.0)))
         unit = self.unit.cpu().numpy().repeat(len(episodes.lengths) // seeds)
-        memory.append(n_step(episodes, config.n_steps, config.discount, unit), keep)
+        memory.append(n_step(episodes, steps, config.discount, unit), keep)
 
     def train(
         self, updates: int, states: Tensor, labels: Tensor | None, weight: float
@@ -142,7 +154,7 @@ class ConsistentLearning:
             q,
             lambda x: architecture.forward(by_name(architecture, average), x),
             joined([memory.at(at) for memory, at in zip(memories, slots, strict=True)]),
-            config.discount**config.n_steps,
+            self._discounts(slots),
             double=False,
         )
         td = td_losses(errors, config.loss)
@@ -153,6 +165,15 @@ class ConsistentLearning:
         # one seed alone than for several.
         cloning = logits.logsumexp(dim=-1) - taken(logits, labels)
         return td + weight * cloning, td, cloning
+
+    def _discounts(self, slots: list[Tensor]) -> Tensor:
+        """(B,) what the value after each transition counts: γ to the power of its steps."""
+        steps = [1, self.config.n_steps] if self.prior is not None else [self.config.n_steps]
+        powers = [
+            torch.full_like(at[0], self.config.discount**n, dtype=torch.float32)
+            for at, n in zip(slots, steps, strict=True)
+        ]
+        return torch.cat(powers)
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimiser, replay, and random streams."""

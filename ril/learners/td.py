@@ -15,7 +15,7 @@ from ril.vectorized.rollout import Episodes
 
 
 def td_targets(
-    batch: Batch, next_values: Tensor, discount: float, choosing: Tensor | None = None
+    batch: Batch, next_values: Tensor, discount: float | Tensor, choosing: Tensor | None = None
 ) -> Tensor:
     """R_{t+1} + γ max_a Q(S_{t+1}, a), without the second term at terminal states (eq. 1).
 
@@ -84,7 +84,7 @@ def td_errors(
     policy: Callable[[Tensor], Tensor],
     target: Callable[[Tensor], Tensor],
     batch: Batch,
-    discount: float,
+    discount: float | Tensor,
     *,
     double: bool,
 ) -> Tensor:
@@ -94,7 +94,7 @@ def td_errors(
         policy: observations (S, B, obs) to values (S, B, |A|).
         target: the same, for the values of S_{t+1}.
         batch: B transitions per seed.
-        discount: γ.
+        discount: γ, or one for each of the B transitions.
         double: whether the policy chooses the action that the target says the value of.
     """
     with torch.no_grad():

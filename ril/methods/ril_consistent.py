@@ -43,8 +43,6 @@ class ConsistentRIL(RIL):
                 f"method.q_learning.n_steps={settings.n_steps}: must be within 1..{steps}, "
                 "the steps of an episode"
             )
-        # Rewards are about 1 in size, so values are at most about as many as steps that count.
-        horizon = min(1 / (1 - settings.discount), steps) if settings.discount < 1 else steps
         architecture = Consistent(
             replace(
                 mlp(config.network, size, 1),
@@ -53,16 +51,17 @@ class ConsistentRIL(RIL):
             ),
             mlp(config.network, size, actions),
             settings.temperature,
-            horizon,
+            settings.value_scale,
         )
         pre_steps = config.goal_sampler.pre_steps_per_action * actions
+        both = config.imitation and config.reinforcement
         prior = Replay(len(task.seeds), pre_steps, size, task.device)
         self.learning = ConsistentLearning(
             Network.initialise(architecture, task.seeds, "policy", task.device),
             empty_memory(settings.replay_trajectories, task),
-            prior if settings.replay_pre and config.imitation else None,
             settings,
             task.seeds,
+            prior=prior if settings.replay_pre and both else None,
             # One of its updates is worth five of Q-learning's, whose networks it evaluates once.
             fused=worth_compiling(
                 task.compile, 5 * config.epochs * config.episodes * settings.updates
@@ -73,7 +72,7 @@ class ConsistentRIL(RIL):
     def _begin_with(self, pre: list[tuple[Episodes, NDArray[np.bool_]]]) -> None:
         if self.learning.prior is not None:
             for episodes, keep in pre:
-                self.learning.remember(self.learning.prior, episodes, keep)
+                self.learning.remember(episodes, keep, self.learning.prior)
 
     def _clone(self, labels: Tensor) -> NDArray[np.float64]:
         """Line 9, which is left to line 13 where there is one; returns (S,) the loss so far."""
@@ -87,7 +86,7 @@ class ConsistentRIL(RIL):
     def _correct(self, episodes: Episodes, labels: Tensor | None) -> Metrics:
         """Lines 9 and 13, after one episode of each seed."""
         settings = self.q_learning_config
-        self.learning.remember(self.learning.replay, episodes)
+        self.learning.remember(episodes)
         ablation, weight = self.task.ablation, settings.imitation_weight
         if settings.fade:
             weight *= 1 - positive_limit(self.epoch - 1, ablation.n, ablation.k)

@@ -146,22 +146,25 @@ def test_random_transitions_are_learnt_from_where_that_is_asked_for(
     progress = trained(method)
     assert len(own) == len(progress) == 3
 
-    memory = Replay(2, method.learning.replay.capacity, 4, CPU)
+    learning, config = method.learning, method.config.q_learning
+    memory = Replay(2, learning.replay.capacity, 4, CPU)
+    prior = Replay(2, method.imitation.pre.capacity, 4, CPU)
     pre = other.imitation.generate_pre()
     assert len(pre) > 0
-    config, unit = method.config.q_learning, method.learning.unit.numpy()
-    for episodes, keep in pre if replay_pre else ():
-        memory.append(n_step(episodes, config.n_steps, config.discount, unit.repeat(10)), keep)
-    of_pre = memory.sizes.copy()
+    unit = learning.unit.numpy()
+    for episodes, keep in pre:
+        prior.append(n_step(episodes, config.n_steps, config.discount, unit.repeat(10)), keep)
     for episodes in own:
         memory.append(n_step(episodes, config.n_steps, config.discount, unit))
-    assert (of_pre >= method.imitation.pre.capacity).all() or not replay_pre
-    assert method.learning.replay.sizes.tolist() == memory.sizes.tolist()
-    for seed in range(2):
-        for found, expected in zip(
-            stored(method.learning.replay, seed), stored(memory, seed), strict=True
-        ):
-            assert torch.equal(found, expected)
+    pairs = [(learning.replay, memory)]
+    assert (learning.prior is not None) == replay_pre
+    if learning.prior is not None:
+        assert (prior.sizes == prior.capacity).all()
+        pairs.append((learning.prior, prior))
+    for found, expected in pairs:
+        assert found.sizes.tolist() == expected.sizes.tolist()
+        for seed in range(2):
+            assert all(map(torch.equal, stored(found, seed), stored(expected, seed)))
 
 
 def test_rewards_are_in_units_of_those_of_the_first_episodes(make: Make) -> None:
@@ -302,7 +305,7 @@ def test_values_have_a_topology_of_their_own_and_the_policy_the_papers(make: Mak
     assert isinstance(architecture, Consistent)
     of_policy = MLP(4, (8, 8), 2)  # §4.1
     assert architecture.policy == method.policy.architecture == of_policy
-    assert architecture.value == replace(of_policy, hidden=(7, 5), outputs=1)
+    assert architecture.value == replace(of_policy, hidden=(7, 5), outputs=1, attention=False)
     assert architecture.temperature == 0.2
 
 
