@@ -95,6 +95,7 @@ class ConsistencyConfig(TemporalDifferenceConfig):
     """Both halves in one descent, of `ril_consistent`."""
 
     n_steps: int = MISSING
+    n_steps_pre: int = MISSING
     tau: float = MISSING
     value_hidden: list[int] = MISSING
     value_scale: float = MISSING
@@ -260,6 +261,7 @@ class PPOConfig:
     hidden: list[int] = MISSING
     n_envs: int = MISSING
     n_steps: int = MISSING
+    n_steps_pre: int = MISSING
     batch_size: int = MISSING
     n_epochs: int = MISSING
     learning_rate: float = MISSING
@@ -323,6 +325,7 @@ class ACKTRConfig(ReinforcementConfig):
     hidden: list[int] = MISSING
     n_envs: int = MISSING
     n_steps: int = MISSING
+    n_steps_pre: int = MISSING
     standardise_steps: int = MISSING
     gamma: float = MISSING
     gae_lambda: float = MISSING

@@ -75,10 +75,10 @@ class ConsistentLearning:
         Args:
             episodes: as many of each seed, those of one side by side.
             keep: which of them; None is all.
-            memory: where: in `prior`, or, if None, in `replay`. Of what was done at random, only
-                one step is taken for what the policy would do.
+            memory: where: in `prior`, or, if None, in `replay`. Each has its
+                own number of steps.
         """
-        steps = self.config.n_steps if memory is None else 1
+        steps = self.config.n_steps if memory is None else self.config.n_steps_pre
         memory = memory or self.replay
         config, seeds = self.config, len(self.unit)
         if not self.unit.any():
@@ -168,7 +168,9 @@ class ConsistentLearning:
 
     def _discounts(self, slots: list[Tensor]) -> Tensor:
         """(B,) what the value after each transition counts: γ to the power of its steps."""
-        steps = [1, self.config.n_steps] if self.prior is not None else [self.config.n_steps]
+        steps = [self.config.n_steps]
+        if self.prior is not None:
+            steps.insert(0, self.config.n_steps_pre)
         powers = [
             torch.full_like(at[0], self.config.discount**n, dtype=torch.float32)
             for at, n in zip(slots, steps, strict=True)
