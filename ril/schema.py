@@ -261,7 +261,6 @@ class PPOConfig:
     hidden: list[int] = MISSING
     n_envs: int = MISSING
     n_steps: int = MISSING
-    n_steps_pre: int = MISSING
     batch_size: int = MISSING
     n_epochs: int = MISSING
     learning_rate: float = MISSING
@@ -325,7 +324,6 @@ class ACKTRConfig(ReinforcementConfig):
     hidden: list[int] = MISSING
     n_envs: int = MISSING
     n_steps: int = MISSING
-    n_steps_pre: int = MISSING
     standardise_steps: int = MISSING
     gamma: float = MISSING
     gae_lambda: float = MISSING

@@ -72,7 +72,16 @@ def test_an_experiment_has_the_papers_cells(name: str) -> None:
 
 def test_every_experiment_is_tested() -> None:
     files = {file.stem for file in (config_folder() / "experiment").glob("*.yaml")}
-    assert files == {*EXPERIMENTS, "quick"}
+    assert files == {*EXPERIMENTS, "components", "quick"}
+
+
+@pytest.mark.parametrize("env", ENVS)
+def test_each_component_is_left_out_in_a_run_of_its_own(env: str) -> None:
+    found = cells("experiment=components")
+    configs = [from_hydra(composed(f"env={env}", "experiment=components", *cell)) for cell in found]
+    whole = from_hydra(composed(f"env={env}", "method=ril_consistent"))
+    assert sum(config == whole for config in configs) == 1
+    assert len({run_id(config, "") for config in configs}) == len(found) == 12
 
 
 USUAL = {"method": "ril", "trajectories": "1", "k": "2", "n": "150", "expert_return": "null"}

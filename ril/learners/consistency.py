@@ -33,8 +33,9 @@ class ConsistentLearning:
         fused: whether each step is one compiled graph; the same but for rounding.
 
     Attributes:
-        policy: π alone, as logits; of the average of the networks over the last updates, whose
-            values are the targets. It is what acts.
+        average: of the networks over the last updates, whose values are the targets.
+        policy: the average's π alone, as logits; it is what acts.
+        unit: (S,) by which rewards are divided; 0 until the first episodes.
     """
 
     def __init__(
@@ -53,9 +54,9 @@ class ConsistentLearning:
         self.prior = prior
         self.config = config
         self.unit = torch.zeros(len(seeds), device=network.flat.device)
-        self._average = network.copy()
+        self.average = network.copy()
         of_value = parameter_count(network.architecture.value)
-        self.policy = Network(network.architecture.policy, self._average.flat[:, of_value:])
+        self.policy = Network(network.architecture.policy, self.average.flat[:, of_value:])
         self._streams = {
             purpose: Streams(seeds, purpose) for purpose in ("replay batches", "cloning batches")
         }
@@ -121,9 +122,9 @@ class ConsistentLearning:
                 anchor = states[chosen], labels.gather(1, chosen), scale
             # A compiled graph refuses other strides than its first.
             at = [drawn[:, update].contiguous() for drawn in slots]
-            _, *losses = self._descend(self._average.flat, memories, at, *anchor)
+            _, *losses = self._descend(self.average.flat, memories, at, *anchor)
             totals += torch.stack([each.mean(dim=1) for each in losses])
-            self._average.flat.lerp_(self.network.flat, config.tau)
+            self.average.flat.lerp_(self.network.flat, config.tau)
         td_loss, cloning_loss = totals / max(updates, 1)
         return td_loss, cloning_loss
 
@@ -181,7 +182,7 @@ class ConsistentLearning:
         """Networks, optimiser, replay, and random streams."""
         return {
             "network": self.network.flat,
-            "average": self._average.flat,
+            "average": self.average.flat,
             "unit": self.unit,
             "optimizer": self._optimizer.state_dict(),
             "replay": self.replay.state_dict(),
@@ -192,7 +193,7 @@ class ConsistentLearning:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from where `state_dict` was taken."""
         self.network.flat.copy_(state["network"])
-        self._average.flat.copy_(state["average"])
+        self.average.flat.copy_(state["average"])
         self.unit.copy_(state["unit"])
         self._optimizer.load_state_dict(state["optimizer"])
         self.replay.load_state_dict(state["replay"])

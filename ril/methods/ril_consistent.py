@@ -38,11 +38,12 @@ class ConsistentRIL(RIL):
         self.q_learning_config = settings = config.q_learning
         size, actions = task.environment.observation_size, task.environment.action_count
         steps = task.environment.max_episode_steps
-        if settings.n_steps > steps:  # nothing of an episode that is cut would be remembered
-            raise UserError(
-                f"method.q_learning.n_steps={settings.n_steps}: must be within 1..{steps}, "
-                "the steps of an episode"
-            )
+        for key in ("n_steps", "n_steps_pre"):
+            if getattr(settings, key) > steps:  # nothing of an episode that is cut would be left
+                raise UserError(
+                    f"method.q_learning.{key}={getattr(settings, key)}: must be within 1..{steps}, "
+                    "the steps of an episode"
+                )
         architecture = Consistent(
             replace(
                 mlp(config.network, size, 1),

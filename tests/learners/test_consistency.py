@@ -42,8 +42,10 @@ def config(**changes: object) -> ConsistencyConfig:
         "discount": DISCOUNT,
         "loss": "huber",
         "n_steps": STEPS,
+        "n_steps_pre": 1,
         "tau": TAU,
         "value_hidden": [5],
+        "value_scale": SCALE,
         "temperature": TEMPERATURE,
         "imitation_weight": 1.0,
         "fade": True,
@@ -197,6 +199,27 @@ def test_half_of_each_minibatch_is_of_what_was_done_before() -> None:
     td_losses, _ = learning.train(1, expert()[0], None, 0.0)
     expected = ((1 - value) ** 2 + (3 - value) ** 2) / 2
     assert td_losses.tolist() == pytest.approx([expected, expected], rel=1e-5)
+
+
+def test_the_next_value_counts_by_the_steps_of_each_memory() -> None:
+    """Rewards are 0, V is 1 and all actions as likely: what is left are the powers of γ."""
+    learning = learner(prior=Replay(2, 90, SIZE, CPU), n_steps_pre=2, loss="mse")
+    assert learning.prior is not None
+    learning.remember(episodes(begin=2), memory=learning.prior)
+    for memory in (learning.replay, learning.prior):
+        memory.rewards.fill_(0.0)
+        memory.terminated.fill_(0.0)
+    with torch.no_grad():
+        for network in (learning.network, learning.average):
+            for name, parameter in network.parameters.items():
+                if name.startswith("output"):
+                    parameter.fill_(0.0)
+                if name == "output.value.bias":
+                    parameter.fill_(1 / SCALE)
+    value = 1 + TEMPERATURE * np.log(1 / ACTIONS)
+    td_losses, _ = learning.train(1, expert()[0], None, 0.0)
+    errors = [value * (1 - DISCOUNT**steps) for steps in (2, STEPS)]
+    assert td_losses.tolist() == pytest.approx([np.mean(np.square(errors))] * 2, rel=1e-4)
 
 
 def test_a_seeds_training_does_not_depend_on_other_seeds() -> None:

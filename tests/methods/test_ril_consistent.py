@@ -153,7 +153,8 @@ def test_random_transitions_are_learnt_from_where_that_is_asked_for(
     assert len(pre) > 0
     unit = learning.unit.numpy()
     for episodes, keep in pre:
-        prior.append(n_step(episodes, config.n_steps, config.discount, unit.repeat(10)), keep)
+        transitions = n_step(episodes, config.n_steps_pre, config.discount, unit.repeat(10))
+        prior.append(transitions, keep)
     for episodes in own:
         memory.append(n_step(episodes, config.n_steps, config.discount, unit))
     pairs = [(learning.replay, memory)]
@@ -216,7 +217,8 @@ def test_the_weight_of_imitation_falls_with_equation_2(
 def test_the_weight_of_imitation_falls_as_steeply_as_k_says(
     make: Make, calls: list[dict[str, Any]]
 ) -> None:
-    trained(make("method.epochs=3", "ablation.n=4", "ablation.k=1"))
+    weight = "method.q_learning.imitation_weight=1"
+    trained(make("method.epochs=3", "ablation.n=4", "ablation.k=1", weight))
     expected = [1, 1 / (1 + 3**-1), 1 / (1 + 1)]
     assert [call["weight"] for call in calls] == pytest.approx(expected)
 
@@ -307,27 +309,17 @@ def test_values_have_a_topology_of_their_own_and_the_policy_the_papers(make: Mak
     assert architecture.policy == method.policy.architecture == of_policy
     assert architecture.value == replace(of_policy, hidden=(7, 5), outputs=1, attention=False)
     assert architecture.temperature == 0.2
-
-
-@pytest.mark.parametrize(
-    ("discount", "scale"), [(0.98, 50), (0.5, 2), (0.0, 1), (0.999, 500), (1.0, 500)]
-)
-def test_values_are_scaled_by_the_steps_that_count(
-    make: Make, discount: float, scale: float
-) -> None:
-    """1 / (1 − γ) of them, but no more than CartPole's 500."""
-    architecture = make(f"method.q_learning.discount={discount}").learning.network.architecture
-    assert isinstance(architecture, Consistent)
-    assert architecture.value_scale == pytest.approx(scale)
+    assert architecture.value_scale == method.config.q_learning.value_scale
 
 
 def test_as_many_steps_as_an_episode_has_are_taken(make: Make) -> None:
     trained(make("method.q_learning.n_steps=500"))
 
 
-def test_more_steps_than_an_episode_has_are_refused(make: Make) -> None:
-    with pytest.raises(UserError, match=r"^method\.q_learning\.n_steps=501: .*within 1\.\.500"):
-        make("method.q_learning.n_steps=501")
+@pytest.mark.parametrize("key", ["n_steps", "n_steps_pre"])
+def test_more_steps_than_an_episode_has_are_refused(make: Make, key: str) -> None:
+    with pytest.raises(UserError, match=rf"^method\.q_learning\.{key}=501: .*within 1\.\.500"):
+        make(f"method.q_learning.{key}=501")
 
 
 def test_the_policy_that_is_saved_has_the_papers_topology(
