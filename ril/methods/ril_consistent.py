@@ -35,7 +35,7 @@ class ConsistentRIL(RIL):
     def _policy(self) -> Network:
         config, task = self.config, self.task
         assert isinstance(config, RILConsistentConfig)
-        self.q_learning_config = settings = config.q_learning
+        settings = config.q_learning
         size, actions = task.environment.observation_size, task.environment.action_count
         steps = task.environment.max_episode_steps
         for key in ("n_steps", "n_steps_pre"):
@@ -54,15 +54,16 @@ class ConsistentRIL(RIL):
             settings.temperature,
             settings.value_scale,
         )
-        pre_steps = config.goal_sampler.pre_steps_per_action * actions
-        both = config.imitation and config.reinforcement
-        prior = Replay(len(task.seeds), pre_steps, size, task.device)
+        prior = None
+        if settings.replay_pre and config.imitation and config.reinforcement:
+            pre_steps = config.goal_sampler.pre_steps_per_action * actions
+            prior = Replay(len(task.seeds), pre_steps, size, task.device)
         self.learning = ConsistentLearning(
             Network.initialise(architecture, task.seeds, "policy", task.device),
             empty_memory(settings.replay_trajectories, task),
             settings,
             task.seeds,
-            prior=prior if settings.replay_pre and both else None,
+            prior=prior,
             # One of its updates is worth five of Q-learning's, whose networks it evaluates once.
             fused=worth_compiling(
                 task.compile, 5 * config.epochs * config.episodes * settings.updates
@@ -86,7 +87,7 @@ class ConsistentRIL(RIL):
 
     def _correct(self, episodes: Episodes, labels: Tensor | None) -> Metrics:
         """Lines 9 and 13, after one episode of each seed."""
-        settings = self.q_learning_config
+        settings = self.learning.config
         self.learning.remember(episodes)
         ablation, weight = self.task.ablation, settings.imitation_weight
         if settings.fade:
