@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from torch import Tensor
 from ril.schema import CloningConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
-from ril.vectorized.networks import Network
+from ril.vectorized.networks import Network, Parameters
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
@@ -35,7 +34,7 @@ class Cloning:
         self.config = config
         self._streams = streams
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
-        self._descend = descent(self._optimizer, _loss, fused=fused)
+        self._descend = descent(self._optimizer, self._loss, fused=fused)
 
     def train(self, observations: Tensor, labels: Tensor) -> Tensor:
         """Algorithm 1, line 9: minibatch steps of cross-entropy on the expert's states.
@@ -57,6 +56,11 @@ class Cloning:
             total += losses.mean(dim=1)
         return total / updates
 
+    def _loss(self, parameters: Parameters, observations: Tensor, labels: Tensor) -> tuple[Tensor]:
+        """(S, B) cross-entropies at observations (S, B, obs) with labels (S, B)."""
+        logits = self.policy.architecture.forward(parameters, observations)
+        return (cross_entropy(logits, labels),)
+
     def state_dict(self) -> dict[str, Any]:
         """Optimiser and random streams; the policy belongs to the method."""
         return {"optimizer": self._optimizer.state_dict(), "streams": self._streams.state_dict()}
@@ -65,10 +69,3 @@ class Cloning:
         """Go on from where `state_dict` was taken."""
         self._optimizer.load_state_dict(state["optimizer"])
         self._streams.load_state_dict(state["streams"])
-
-
-def _loss(
-    policy: Callable[[Tensor], Tensor], observations: Tensor, labels: Tensor
-) -> tuple[Tensor]:
-    """(S, B) cross-entropies at observations (S, B, obs) with labels (S, B)."""
-    return (cross_entropy(policy(observations), labels),)

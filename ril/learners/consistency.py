@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch import Tensor
 from ril.learners.td import n_step, taken, td_errors, td_losses
 from ril.schema import ConsistencyConfig
 from ril.vectorized.descent import descent
-from ril.vectorized.networks import Consistent, Network, by_name, parameter_count
+from ril.vectorized.networks import Consistent, Network, Parameters, by_name, parameter_count
 from ril.vectorized.replay import Batch, Replay, joined, random_indices
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
@@ -130,7 +130,7 @@ class ConsistentLearning:
 
     def _loss(
         self,
-        q: Callable[[Tensor], Tensor],
+        parameters: Parameters,
         average: Tensor,
         memories: list[Batch],
         slots: list[Tensor],
@@ -141,7 +141,7 @@ class ConsistentLearning:
         """What is descended, and its two parts; each (S, B).
 
         Args:
-            q: observations to values.
+            parameters: of value and policy, by name.
             average: (S, P) parameters whose values are the targets.
             memories: (S, N, …) each, all transitions.
             slots: of each memory those that are learnt from, (S, B) together.
@@ -152,8 +152,8 @@ class ConsistentLearning:
         architecture, config = self.network.architecture, self.config
         assert isinstance(architecture, Consistent)
         errors = td_errors(
-            q,
-            lambda x: architecture.forward(by_name(architecture, average), x),
+            partial(architecture.forward, parameters),
+            partial(architecture.forward, by_name(architecture, average)),
             joined([memory.at(at) for memory, at in zip(memories, slots, strict=True)]),
             self._discounts(slots),
             double=False,
@@ -161,7 +161,7 @@ class ConsistentLearning:
         td = td_losses(errors, config.loss)
         if states is None or labels is None or weight is None:
             return td, td, torch.zeros_like(td)
-        logits = q(states) / architecture.temperature
+        logits = architecture.logits(parameters, states)
         # Cross-entropy; compiled together with the above, torch's own is rounded otherwise for
         # one seed alone than for several.
         cloning = logits.logsumexp(dim=-1) - taken(logits, labels)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -12,7 +11,7 @@ from ril.learners.goal_sampler import Selection
 from ril.schema import InverseDynamicsConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
-from ril.vectorized.networks import Network
+from ril.vectorized.networks import Network, Parameters
 from ril.vectorized.replay import Batch, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
@@ -87,7 +86,7 @@ class InverseDynamics:
 
     def _loss(
         self,
-        network: Callable[[Tensor], Tensor],
+        parameters: Parameters,
         observations: Tensor,
         next_observations: Tensor,
         actions: Tensor,
@@ -96,7 +95,9 @@ class InverseDynamics:
     ) -> tuple[Tensor]:
         """(S, B) cross-entropies with actions (S, B); mean and deviation are (S, 1, n)."""
         features = self._features(observations, next_observations)
-        return (cross_entropy(network((features - mean) / deviation), actions),)
+        standard = (features - mean) / deviation
+        logits = self.network.architecture.forward(parameters, standard)
+        return (cross_entropy(logits, actions),)
 
     @torch.no_grad()
     def label(self, observations: Tensor, next_observations: Tensor) -> Tensor:

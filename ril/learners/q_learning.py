@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch import Tensor
 from ril.learners.td import td_errors, td_losses
 from ril.schema import TargetNetworkConfig
 from ril.vectorized.descent import descent
-from ril.vectorized.networks import Network, by_name
+from ril.vectorized.networks import Network, Parameters, by_name
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.streams import Streams
@@ -83,7 +83,7 @@ class QLearning:
 
     def _loss(
         self,
-        policy: Callable[[Tensor], Tensor],
+        parameters: Parameters,
         target: Tensor,
         memory: Batch,
         slots: Tensor,
@@ -92,7 +92,7 @@ class QLearning:
         """What is descended, the losses that this weighs, and the errors δ; each (S, B).
 
         Args:
-            policy: observations to values.
+            parameters: the policy's, by name.
             target: (S, P) parameters of the target network.
             memory: (S, N, …) all transitions.
             slots: (S, B) those that are learnt from.
@@ -100,8 +100,8 @@ class QLearning:
         """
         architecture, config = self.policy.architecture, self.config
         errors = td_errors(
-            policy,
-            lambda x: architecture.forward(by_name(architecture, target), x),
+            partial(architecture.forward, parameters),
+            partial(architecture.forward, by_name(architecture, target)),
             memory.at(slots),
             config.discount,
             double=self.double,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -12,7 +11,7 @@ from ril.vectorized.compiling import compiled, unless_broken
 from ril.vectorized.networks import by_name
 from ril.vectorized.updates import ClippedAdam
 
-#: Of the networks' forward pass and some tensors: losses (S, B), then what else is wanted.
+#: Of the networks' parameters by name and some tensors: losses (S, B), then what else is wanted.
 Loss = Callable[..., tuple[Tensor, ...]]
 
 
@@ -29,10 +28,9 @@ def descent(adam: ClippedAdam, loss: Loss, *, fused: bool) -> Callable[..., tupl
         Of the tensors that the loss takes, to what it returns for them before the step, detached.
     """
     network = adam.network
-    architecture = network.architecture
 
     def eager(*tensors: Tensor) -> tuple[Tensor, ...]:
-        values = loss(network, *tensors)
+        values = loss(network.parameters, *tensors)
         adam.step(values[0].mean(dim=1))
         return tuple(value.detach() for value in values)
 
@@ -42,11 +40,11 @@ def descent(adam: ClippedAdam, loss: Loss, *, fused: bool) -> Callable[..., tupl
     @compiled
     def whole(parameters: Tensor, scales: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
         def total(named: dict[str, Tensor]) -> tuple[Tensor, tuple[Tensor, ...]]:
-            values = loss(partial(architecture.forward, named), *tensors)
+            values = loss(named, *tensors)
             # That average is no output: how it is rounded depends on the number of seeds.
             return values[0].mean(dim=1).sum(), values
 
-        views = by_name(architecture, parameters)
+        views = by_name(network.architecture, parameters)
         gradients, values = torch.func.grad(total, has_aux=True)(views)
         gradient = torch.cat([each.flatten(1) for each in gradients.values()], dim=1)
         mean, denominator = adam.change(gradient, scales[1])

@@ -134,6 +134,10 @@ class Consistent:
         value, logits = _streams_forward(parameters, x, value=self.value, policy=self.policy)
         return self.value_scale * value + self.temperature * logits.log_softmax(dim=-1)
 
+    def logits(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """(S, B, inputs) to (S, B, |A|) logits of π alone."""
+        return _streams_forward(parameters, x, policy=self.policy)[0]
+
 
 def _streams_shapes(**streams: MLP) -> dict[str, tuple[int, int]]:
     """(rows, columns) of every parameter of networks side by side."""
