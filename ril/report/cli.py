@@ -11,7 +11,7 @@ from typing import NoReturn
 
 TABLES = tuple(f"table{number}" for number in range(1, 10))
 FIGURES = ("figure2", "figure3", "figure4", "figure5", "curves", "sensitivity")
-TARGETS = (*TABLES, *FIGURES, "statistics", "all")
+TARGETS = (*TABLES, *FIGURES, "statistics", "variants", "all")
 FORMATS = ("md", "csv", "latex", "html")
 _EXAMPLES = """\
 examples:

@@ -18,9 +18,11 @@ from ril.report.figures.curves import learning_curves
 from ril.report.figures.limits import limits
 from ril.report.figures.sensitivity import Point, sensitivity
 from ril.report.figures.style import Reference
+from ril.report.figures.variants import changes
 from ril.report.findings import find
 from ril.report.mountaincar import DiscretePolicy, optimal_policy
 from ril.report.paper import ENVIRONMENTS, Cell, Setting, solved_return, table
+from ril.report.variants import variants
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,11 @@ def _aggregates(evidence: Evidence, score: str) -> Figure | None:
 def _improvement(evidence: Evidence, score: str) -> Figure | None:
     ahead = aggregates.improvements(aggregates.performances(evidence, score))
     return statistics.improvement(ahead) if ahead else None
+
+
+def _variants(evidence: Evidence, score: str) -> Figure | None:
+    apart = [each for each in variants(evidence, score) if each.keys and each.gains]
+    return changes(apart) if apart else None
 
 
 #: The policies of Table 1 by their titles in the paper.
@@ -244,6 +251,15 @@ DRAWINGS: dict[str, tuple[Drawing, ...]] = {
             "Probability that RIL improves on each method",
             "Mean over environments of the share of pairs of seeds in which RIL's is better.",
             _improvement,
+        ),
+    ),
+    "variants": (
+        Drawing(
+            "variants",
+            "What each key changes",
+            "Performance P of runs with keys set apart less that of the same seeds of the method "
+            "as it comes; means over seeds and their 95 % intervals.",
+            _variants,
         ),
     ),
 }

@@ -95,12 +95,17 @@ def fullest(rows: pd.DataFrame) -> pd.DataFrame:
     """
     if rows.empty:
         return rows
-    budgets = rows.groupby("run_id")[["total_timesteps", "epochs"]].transform("max").fillna(0)
-    length = pd.Series(list(budgets.itertuples(index=False, name=None)), rows.index)
+    length = lengths(rows)
     seeds = rows.groupby(length)["seed"].nunique().sort_index()
     chosen = seeds[seeds == seeds.max()].index[-1]
     together: pd.DataFrame = rows[length == chosen].drop_duplicates("seed", keep="last")
     return together.sort_values("seed")
+
+
+def lengths(rows: pd.DataFrame) -> pd.Series:
+    """How long the run of each row trained: (total_timesteps, epochs)."""
+    budgets = rows.groupby("run_id")[["total_timesteps", "epochs"]].transform("max").fillna(0)
+    return pd.Series(list(budgets.itertuples(index=False, name=None)), rows.index, dtype=object)
 
 
 def shortfall(rows: pd.DataFrame, table: Table, method: str) -> tuple[str, ...]:

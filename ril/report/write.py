@@ -19,6 +19,7 @@ from ril.report.formats import as_csv, as_latex, as_markdown, as_table, grid_as_
 from ril.report.layout import Grid, Results, grid, results
 from ril.report.paper import TABLES
 from ril.report.provenance import runs
+from ril.report.variants import variants, variants_grid
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,8 @@ def _grids(wanted: Wanted, evidence: Evidence, tables: list[Results]) -> list[Gr
     if "statistics" in wanted.targets:
         every = aggregates.performances(evidence, wanted.score)
         grids.append(aggregates.statistics_grid(every))
+    if "variants" in wanted.targets:
+        grids.append(variants_grid(variants(evidence, wanted.score), wanted.score))
     if wanted.audit:
         grids.append(contradictions_grid(audit()))
     return grids
