@@ -100,9 +100,11 @@ class ConsistencyConfig(TemporalDifferenceConfig):
     value_hidden: list[int] = MISSING
     value_scale: float = MISSING
     temperature: float = MISSING
+    gap: float | None = MISSING
     imitation_weight: float = MISSING
     fade: bool = MISSING
     replay_trajectories: float = MISSING
+    replay_recent: float | None = MISSING
     replay_pre: bool = MISSING
 
 

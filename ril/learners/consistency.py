@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.learners.td import n_step, taken, td_errors, td_losses
+from ril.learners.td import n_step, taken, td_losses, td_targets
 from ril.schema import ConsistencyConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import Consistent, Network, Parameters, by_name, parameter_count
@@ -30,6 +29,8 @@ class ConsistentLearning:
         seeds: S.
         prior: memory of what was done before it learnt, of which half of each minibatch is drawn,
             as in RLPD (Ball et al., 2023); None draws from its own episodes alone.
+        recent: transitions of its own that are new, of which half of its own are drawn; None
+            draws from all alike.
         fused: whether each step is one compiled graph; the same but for rounding.
 
     Attributes:
@@ -46,12 +47,14 @@ class ConsistentLearning:
         seeds: tuple[int, ...],
         *,
         prior: Replay | None = None,
+        recent: int | None = None,
         fused: bool = False,
     ) -> None:
         assert isinstance(network.architecture, Consistent)
         self.network = network
         self.replay = replay
         self.prior = prior
+        self.recent = recent
         self.config = config
         self.unit = torch.zeros(len(seeds), device=network.flat.device)
         self.average = network.copy()
@@ -105,14 +108,16 @@ class ConsistentLearning:
         """
         config, device = self.config, self.network.flat.device
         numbers = self._streams["replay batches"].uniform(updates, config.batch_size)
-        parts = [(self.replay, numbers)]
+        memories, slots = [], []
         if self.prior is not None:
-            half = config.batch_size // 2
-            parts = [(self.prior, numbers[..., :half]), (self.replay, numbers[..., half:])]
-        slots = [random_indices(drawn, memory.sizes).to(device) for memory, drawn in parts]
+            prior, numbers = np.split(numbers, [config.batch_size // 2], axis=-1)
+            memories.append(self.prior)
+            slots.append(random_indices(prior, self.prior.sizes).to(device))
+        memories.append(self.replay)
+        slots.append(self._own(numbers).to(device))
         numbers = self._streams["cloning batches"].uniform(updates, config.batch_size)
         shown = random_indices(numbers, np.full(len(numbers), len(states))).to(device)
-        memories = [memory.everything() for memory, _ in parts]
+        stored = [memory.everything() for memory in memories]
         totals = torch.zeros(2, len(self.unit), device=device)
         for update in range(updates):
             anchor: tuple[Tensor | None, ...] = (None, None, None)
@@ -122,11 +127,19 @@ class ConsistentLearning:
                 anchor = states[chosen], labels.gather(1, chosen), scale
             # A compiled graph refuses other strides than its first.
             at = [drawn[:, update].contiguous() for drawn in slots]
-            _, *losses = self._descend(self.average.flat, memories, at, *anchor)
+            _, *losses = self._descend(self.average.flat, stored, at, *anchor)
             totals += torch.stack([each.mean(dim=1) for each in losses])
             self.average.flat.lerp_(self.network.flat, config.tau)
         td_loss, cloning_loss = totals / max(updates, 1)
         return td_loss, cloning_loss
+
+    def _own(self, numbers: NDArray[np.float32]) -> Tensor:
+        """Slots of its own episodes for uniform numbers (S, updates, B): half of the newest."""
+        if self.recent is None:
+            return random_indices(numbers, self.replay.sizes)
+        whole, newest = np.split(numbers, [numbers.shape[-1] // 2], axis=-1)
+        parts = random_indices(whole, self.replay.sizes), self.replay.newest(newest, self.recent)
+        return torch.cat(parts, dim=-1)
 
     def _loss(
         self,
@@ -151,13 +164,9 @@ class ConsistentLearning:
         """
         architecture, config = self.network.architecture, self.config
         assert isinstance(architecture, Consistent)
-        errors = td_errors(
-            partial(architecture.forward, parameters),
-            partial(architecture.forward, by_name(architecture, average)),
-            joined([memory.at(at) for memory, at in zip(memories, slots, strict=True)]),
-            self._discounts(slots),
-            double=False,
-        )
+        batch = joined([memory.at(at) for memory, at in zip(memories, slots, strict=True)])
+        values = architecture.forward(parameters, batch.observations)
+        errors = taken(values, batch.actions) - self._targets(average, batch, slots)
         td = td_losses(errors, config.loss)
         if states is None or labels is None or weight is None:
             return td, td, torch.zeros_like(td)
@@ -166,6 +175,23 @@ class ConsistentLearning:
         # one seed alone than for several.
         cloning = logits.logsumexp(dim=-1) - taken(logits, labels)
         return td + weight * cloning, td, cloning
+
+    @torch.no_grad()
+    def _targets(self, average: Tensor, batch: Batch, slots: list[Tensor]) -> Tensor:
+        """(S, B) what the values of the actions taken are drawn to.
+
+        An action that is not the best one is not drawn further than `gap` below the best: how bad
+        it is need not be known, and π could say it by improbable logits alone.
+        """
+        both = torch.cat((batch.observations, batch.next_observations), dim=1)
+        named = by_name(self.network.architecture, average)
+        here, following = self.network.architecture.forward(named, both).chunk(2, dim=1)
+        targets = td_targets(batch, following, self._discounts(slots))
+        if self.config.gap is None:
+            return targets
+        best = here.amax(dim=-1)
+        is_best = taken(here, batch.actions) >= best
+        return torch.where(is_best, targets, torch.maximum(targets, best - self.config.gap))
 
     def _discounts(self, slots: list[Tensor]) -> Tensor:
         """(B,) what the value after each transition counts: γ to the power of its steps."""

@@ -156,5 +156,10 @@ class RIL:
 
 def empty_memory(trajectories: float, task: Task) -> Replay:
     """A replay memory of as many mean expert trajectories (§3.4)."""
-    capacity = max(1, round(trajectories * task.expert.mean_length))
-    return Replay(len(task.seeds), capacity, task.environment.observation_size, task.device)
+    size = task.environment.observation_size
+    return Replay(len(task.seeds), steps_of(trajectories, task), size, task.device)
+
+
+def steps_of(trajectories: float, task: Task) -> int:
+    """How many transitions so many mean expert trajectories are."""
+    return max(1, round(trajectories * task.expert.mean_length))

@@ -15,7 +15,7 @@ from ril.learners.consistency import ConsistentLearning
 from ril.learners.goal_sampler import positive_limit
 from ril.learners.imitation import Metrics
 from ril.learners.topology import mlp
-from ril.methods.ril import RIL, empty_memory
+from ril.methods.ril import RIL, empty_memory, steps_of
 from ril.schema import RILConsistentConfig
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.losses import cross_entropy
@@ -58,12 +58,16 @@ class ConsistentRIL(RIL):
         if settings.replay_pre and config.imitation and config.reinforcement:
             pre_steps = config.goal_sampler.pre_steps_per_action * actions
             prior = Replay(len(task.seeds), pre_steps, size, task.device)
+        recent = None
+        if settings.replay_recent is not None:
+            recent = steps_of(settings.replay_recent, task)
         self.learning = ConsistentLearning(
             Network.initialise(architecture, task.seeds, "policy", task.device),
             empty_memory(settings.replay_trajectories, task),
             settings,
             task.seeds,
             prior=prior,
+            recent=recent,
             # One of its updates is worth five of Q-learning's, whose networks it evaluates once.
             fused=worth_compiling(
                 task.compile, 5 * config.epochs * config.episodes * settings.updates

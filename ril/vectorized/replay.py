@@ -127,6 +127,12 @@ class Replay:
         self.sizes = np.minimum(self.sizes + 1, self.capacity)
         return torch.full((len(self.sizes), 1), slot, device=self.rewards.device)
 
+    def newest(self, uniform: NDArray[np.float32], count: int) -> Tensor:
+        """Uniform numbers (S, ...) in [0, 1) to slots of each seed's `count` newest transitions."""
+        ages = random_indices(uniform, np.minimum(self.sizes, count)).numpy()
+        newest = self._positions.reshape(-1, *[1] * (uniform.ndim - 1)) - 1
+        return torch.from_numpy((newest - ages) % self.capacity)
+
     def clear(self) -> None:
         """Forget all transitions."""
         self.sizes[:] = 0

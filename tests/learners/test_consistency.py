@@ -47,6 +47,7 @@ def config(**changes: object) -> ConsistencyConfig:
         "value_hidden": [5],
         "value_scale": SCALE,
         "temperature": TEMPERATURE,
+        "gap": None,
         "imitation_weight": 1.0,
         "fade": True,
         "replay_trajectories": 10.0,
@@ -132,10 +133,14 @@ def agents_of(flat: Tensor) -> list[Agent]:
     return [Agent(*each) for each in zip(values, policies, strict=True)]
 
 
+@pytest.mark.parametrize("gap", [None, 0.1])
 @pytest.mark.parametrize("labelled", [True, False])
 @pytest.mark.parametrize("loss", ["huber", "mse"])
-def test_training_is_that_of_one_agent_per_seed(loss: str, labelled: bool) -> None:
-    learning = learner(loss=loss)
+def test_training_is_that_of_one_agent_per_seed(
+    loss: str, labelled: bool, gap: float | None
+) -> None:
+    learning = learner(loss=loss, gap=gap)
+    lifted = 0  # targets that are further than the gap below the best action's value
     states, labels = expert()
     agents, averages = agents_of(learning.network.flat), agents_of(learning.network.flat)
     weights = {6: 0.7, 9: 0.2}  # by the number of updates that they hold for
@@ -160,8 +165,14 @@ def test_training_is_that_of_one_agent_per_seed(loss: str, labelled: bool) -> No
                     best = average(following).max(dim=1).values
                     goes_on = 1 - replay.terminated[seed, at]
                     target = replay.rewards[seed, at] + DISCOUNT**STEPS * goes_on * best
+                    before = average(replay.observations[seed, at])
+                    actions = replay.actions[seed, at]
+                    for i in range(BATCH) if gap is not None else ():
+                        least = before[i].max() - gap
+                        if before[i].argmax() != actions[i] and target[i] < least:
+                            target[i], lifted = least, lifted + 1
                 values = agent(replay.observations[seed, at])
-                td = distance(values[torch.arange(BATCH), replay.actions[seed, at]], target)
+                td = distance(values[torch.arange(BATCH), actions], target)
                 total, totals[0, seed] = td, totals[0, seed] + td.detach()
                 if labelled:
                     logits = agent(states[of_expert]) / TEMPERATURE
@@ -176,6 +187,7 @@ def test_training_is_that_of_one_agent_per_seed(loss: str, labelled: bool) -> No
         expected = totals / updates
         torch.testing.assert_close(td_losses, expected[0], rtol=1e-3, atol=1e-5)
         torch.testing.assert_close(cloning_losses, expected[1], rtol=1e-3, atol=1e-5)
+    assert (lifted > 0) == (gap is not None)
     flats, of_averages = (torch.stack([a.flat() for a in each]) for each in (agents, averages))
     torch.testing.assert_close(learning.network.flat, flats, rtol=1e-3, atol=1e-5)
     torch.testing.assert_close(
