@@ -452,6 +452,8 @@ def test_a_value_of_dqn_at_its_bounds_is_taken(key: str, value: Any) -> None:
         ("tau", float("nan"), "within 1e-06..1"),
         ("imitation_weight", -0.1, "0 or more"),
         ("temperature", 0, "above 0"),
+        ("gap", 0, "above 0"),
+        ("replay_recent", 0, "above 0"),
         ("n_steps", 0, "above 0"),
         ("value_hidden", [64, 0], "above 0"),
         ("replay_trajectories", 0, "above 0"),

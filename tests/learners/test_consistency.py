@@ -51,6 +51,7 @@ def config(**changes: object) -> ConsistencyConfig:
         "imitation_weight": 1.0,
         "fade": True,
         "replay_trajectories": 10.0,
+        "replay_recent": None,
         "replay_pre": True,
     }
     return ConsistencyConfig(**(values | changes))
@@ -91,6 +92,7 @@ def learner(
     architecture: Consistent = ARCHITECTURE,
     filled: bool = True,
     prior: Replay | None = None,
+    recent: int | None = None,
     fused: bool = False,
     **changes: object,
 ) -> ConsistentLearning:
@@ -104,7 +106,7 @@ def learner(
     # Empty slots must never be learnt from.
     replay.observations.fill_(torch.nan)
     learning = ConsistentLearning(
-        network, replay, config(**changes), seeds, prior=prior, fused=fused
+        network, replay, config(**changes), seeds, prior=prior, recent=recent, fused=fused
     )
     if filled:
         learning.remember(episodes(seeds))
@@ -211,6 +213,29 @@ def test_half_of_each_minibatch_is_of_what_was_done_before() -> None:
     td_losses, _ = learning.train(1, expert()[0], None, 0.0)
     expected = ((1 - value) ** 2 + (3 - value) ** 2) / 2
     assert td_losses.tolist() == pytest.approx([expected, expected], rel=1e-5)
+
+
+def test_a_quarter_of_each_minibatch_is_of_its_newest_steps() -> None:
+    """Rewards tell where transitions come from; with γ = 0 and no slope yet, losses are theirs."""
+    learning = learner(
+        prior=Replay(2, 90, SIZE, CPU), recent=1, discount=0.0, n_steps=1, loss="mse"
+    )
+    assert learning.prior is not None
+    learning.remember(episodes(begin=2), memory=learning.prior)
+    learning.replay.rewards.fill_(1.0)
+    learning.prior.rewards.fill_(3.0)
+    learning.replay.rewards[torch.arange(2), learning.replay.newest(np.zeros((2, 1)), 1)[:, 0]] = 9
+    with torch.no_grad():
+        for name, parameter in learning.network.parameters.items():
+            if name.startswith("output"):  # V is 0, and all actions are as likely
+                parameter.fill_(0.0)
+    value = TEMPERATURE * np.log(1 / ACTIONS)
+    td_losses, _ = learning.train(1, expert()[0], None, 0.0)
+    of_nines = [(9 - value) ** 2, (1 - value) ** 2]  # of the other quarter one may be it, too
+    least = ((3 - value) ** 2 * 4 + of_nines[0] * 2 + of_nines[1] * 2) / BATCH
+    more = least + (of_nines[0] - of_nines[1]) * np.array([0, 1, 2]) / BATCH
+    for found in td_losses.tolist():
+        assert min(abs(found - more)) < 1e-4 * found
 
 
 def test_the_next_value_counts_by_the_steps_of_each_memory() -> None:
@@ -434,7 +459,13 @@ AS_CONFIGURED = Consistent(MLP(SIZE, (64, 64), 1), MLP(SIZE, (8, 8), ACTIONS), 0
 def trained(seeds: tuple[int, ...], labelled: bool, *, fused: bool) -> list[Tensor]:
     """Parameters of network and average, and losses, after two parts of a training."""
     learning = learner(
-        seeds, architecture=AS_CONFIGURED, fused=fused, batch_size=64, learning_rate=1e-3
+        seeds,
+        architecture=AS_CONFIGURED,
+        recent=10,
+        fused=fused,
+        batch_size=64,
+        learning_rate=1e-3,
+        gap=0.3,
     )
     states, labels = expert(seeds)
     losses = [

@@ -301,6 +301,12 @@ def test_the_memory_holds_as_many_mean_expert_trajectories_as_asked(make: Make) 
     assert method.learning.replay.capacity == round(20 * lengths)
 
 
+def test_the_newest_are_as_many_mean_expert_trajectories_as_asked(make: Make) -> None:
+    method = make("ablation.trajectories=3", "method.q_learning.replay_recent=0.5")
+    assert method.learning.recent == round(0.5 * len(method.task.expert.observations) / 3)
+    assert make("method.q_learning.replay_recent=null").learning.recent is None
+
+
 def test_values_have_a_topology_of_their_own_and_the_policy_the_papers(make: Make) -> None:
     method = make("method.q_learning.value_hidden=[7,5]", "method.q_learning.temperature=0.2")
     architecture = method.learning.network.architecture

@@ -208,3 +208,25 @@ def test_random_indices_are_equally_likely(shape: tuple[int, ...]) -> None:
     indices = random_indices(uniform, np.array([4, 6])).reshape(2, -1)
     assert torch.bincount(indices[0]).tolist() == [3] * 4
     assert torch.bincount(indices[1]).tolist() == [2] * 6
+
+
+@given(
+    lengths=st.lists(st.integers(1, 12), min_size=1, max_size=5),
+    capacity=st.integers(1, 20),
+    count=st.integers(1, 25),
+)
+def test_the_newest_are_those_that_came_last_each_as_likely(
+    lengths: list[int], capacity: int, count: int
+) -> None:
+    replay = Replay(1, capacity, OBS, CPU)
+    episodes = numbered_episodes(lengths)
+    replay.append(episodes)
+    all_of_them = [each for k in range(len(lengths)) for each in transitions(episodes, k)]
+    expected = all_of_them[-min(count, capacity) :]
+    uniform = ((np.arange(2 * len(expected)) + 0.5) / (2 * len(expected))).astype(np.float32)
+    slots = replay.newest(uniform[None, :, None], count)
+    assert slots.shape == (1, len(uniform), 1)
+    drawn = replay.everything().at(slots[..., 0])
+    rewards = sorted(drawn.rewards[0].tolist())
+    of_expected = sorted(float(reward) for *_, reward, _, _, _ in expected)
+    assert rewards == [reward for reward in of_expected for _ in range(2)]
