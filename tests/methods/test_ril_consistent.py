@@ -50,7 +50,7 @@ def trained(method: RIL) -> list[Progress]:
 def test_without_reinforcement_it_imitates_as_ril_does(
     make: Make, quick: Any, make_task: MakeTask
 ) -> None:
-    settings = ("method.reinforcement=false", "method.epochs=8")
+    settings = ("method.reinforcement=false", "method.epochs=8", "method.exploration.epsilon=1")
     method, config = make(*settings), quick("method=ril", *settings)
     ril = RIL(config.method, make_task(config))
     assert method.policy.architecture == ril.policy.architecture
@@ -82,12 +82,13 @@ def rewards_alone(method: ConsistentRIL, epochs: int, epsilon: float) -> Network
     config, task = method.config, method.task
     settings, size = config.q_learning, task.environment.observation_size
     shape = method.learning.network.architecture
-    capacity = round(500 * len(task.expert.observations) / task.expert.trajectories)
+    length = len(task.expert.observations) / task.expert.trajectories
     learning = ConsistentLearning(
         Network.initialise(shape, task.seeds, "policy", CPU),
-        Replay(len(task.seeds), capacity, size, CPU),
+        Replay(len(task.seeds), round(500 * length), size, CPU),
         settings,
         task.seeds,
+        recent=round(10 * length),
     )
     explorer = Explorer(config.exploration, task, learning.policy)
     nothing = torch.zeros(1, size)
