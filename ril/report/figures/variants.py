@@ -28,6 +28,7 @@ def changes(found: Sequence[Variant]) -> Figure:
     )
     shared = figure.subplots(1, len(panels), sharey=True, squeeze=False)
     for axes, env in zip(shared.flat, panels, strict=True):
+        axes.use_sticky_edges = False  # bars are not cut off at the frame
         for y, variant in enumerate(found):
             if env not in variant.gains:
                 continue
