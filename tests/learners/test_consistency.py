@@ -198,6 +198,14 @@ def test_training_is_that_of_one_agent_per_seed(
     torch.testing.assert_close(learning.state_dict()["average"], of_averages, rtol=1e-3, atol=1e-5)
 
 
+def level(network: Network, value: float) -> None:
+    """Make V the same everywhere, and all actions as likely."""
+    with torch.no_grad():
+        for name, parameter in network.parameters.items():
+            if name.startswith("output"):
+                parameter.fill_(value / SCALE if name == "output.value.bias" else 0.0)
+
+
 def test_half_of_each_minibatch_is_of_what_was_done_before() -> None:
     """Rewards of one memory are 1, of the other 3: with γ = 0 and no slope yet, losses tell."""
     learning = learner(prior=Replay(2, 90, SIZE, CPU), discount=0.0, n_steps=1, loss="mse")
@@ -205,10 +213,7 @@ def test_half_of_each_minibatch_is_of_what_was_done_before() -> None:
     learning.remember(episodes(begin=2), memory=learning.prior)
     learning.replay.rewards.fill_(1.0)
     learning.prior.rewards.fill_(3.0)
-    with torch.no_grad():
-        for name, parameter in learning.network.parameters.items():
-            if name.startswith("output"):  # V is 0, and all actions are as likely
-                parameter.fill_(0.0)
+    level(learning.network, 0.0)
     value = TEMPERATURE * np.log(1 / ACTIONS)
     td_losses, _ = learning.train(1, expert()[0], None, 0.0)
     expected = ((1 - value) ** 2 + (3 - value) ** 2) / 2
@@ -225,10 +230,7 @@ def test_a_quarter_of_each_minibatch_is_of_its_newest_steps() -> None:
     learning.replay.rewards.fill_(1.0)
     learning.prior.rewards.fill_(3.0)
     learning.replay.rewards[torch.arange(2), learning.replay.newest(np.zeros((2, 1)), 1)[:, 0]] = 9
-    with torch.no_grad():
-        for name, parameter in learning.network.parameters.items():
-            if name.startswith("output"):  # V is 0, and all actions are as likely
-                parameter.fill_(0.0)
+    level(learning.network, 0.0)
     value = TEMPERATURE * np.log(1 / ACTIONS)
     td_losses, _ = learning.train(1, expert()[0], None, 0.0)
     of_nines = [(9 - value) ** 2, (1 - value) ** 2]  # of the other quarter one may be it, too
@@ -246,13 +248,8 @@ def test_the_next_value_counts_by_the_steps_of_each_memory() -> None:
     for memory in (learning.replay, learning.prior):
         memory.rewards.fill_(0.0)
         memory.terminated.fill_(0.0)
-    with torch.no_grad():
-        for network in (learning.network, learning.average):
-            for name, parameter in network.parameters.items():
-                if name.startswith("output"):
-                    parameter.fill_(0.0)
-                if name == "output.value.bias":
-                    parameter.fill_(1 / SCALE)
+    level(learning.network, 1.0)
+    level(learning.average, 1.0)
     value = 1 + TEMPERATURE * np.log(1 / ACTIONS)
     td_losses, _ = learning.train(1, expert()[0], None, 0.0)
     errors = [value * (1 - DISCOUNT**steps) for steps in (2, STEPS)]
