@@ -45,6 +45,7 @@ CHOICES = {
         "method.goal_sampler.pre_steps_per_action=1000",
         "method.inverse_dynamics.inputs=states",
         "method.inverse_dynamics.updates=30",
+        "method.inverse_dynamics.updates=1000",
         "method.inverse_dynamics.labels=sample",
         "method.cloning.updates=30",
         "method.cloning.updates=300",
