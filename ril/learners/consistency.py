@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,8 +30,8 @@ class ConsistentLearning:
         seeds: S.
         prior: memory of what was done before it learnt, of which half of each minibatch is drawn,
             as in RLPD (Ball et al., 2023); None draws from its own episodes alone.
-        recent: transitions of its own that are new, of which half of its own are drawn; None
-            draws from all alike.
+        recent: how many of its own newest transitions half of its own draws are from; None draws
+            from all alike.
         fused: whether each step is one compiled graph; the same but for rounding.
 
     Attributes:
@@ -183,12 +184,13 @@ class ConsistentLearning:
         An action that is not the best one is not drawn further than `gap` below the best: how bad
         it is need not be known, and π could say it by improbable logits alone.
         """
-        both = torch.cat((batch.observations, batch.next_observations), dim=1)
-        named = by_name(self.network.architecture, average)
-        here, following = self.network.architecture.forward(named, both).chunk(2, dim=1)
-        targets = td_targets(batch, following, self._discounts(slots))
+        architecture, discounts = self.network.architecture, self._discounts(slots)
+        values = partial(architecture.forward, by_name(architecture, average))
         if self.config.gap is None:
-            return targets
+            return td_targets(batch, values(batch.next_observations), discounts)
+        both = torch.cat((batch.observations, batch.next_observations), dim=1)
+        here, following = values(both).chunk(2, dim=1)
+        targets = td_targets(batch, following, discounts)
         best = here.amax(dim=-1)
         is_best = taken(here, batch.actions) >= best
         return torch.where(is_best, targets, torch.maximum(targets, best - self.config.gap))

@@ -22,7 +22,7 @@ def td_targets(
     Args:
         batch: B transitions per seed.
         next_values: (S, B, |A|) Q(S_{t+1}, ·).
-        discount: γ.
+        discount: γ, or one for each of the B transitions.
         choosing: (S, B, |A|) values whose largest says which action's `next_values` count, as
             double Q-learning has it (van Hasselt et al., 2016); `next_values` themselves if None.
 
@@ -84,7 +84,7 @@ def td_errors(
     policy: Callable[[Tensor], Tensor],
     target: Callable[[Tensor], Tensor],
     batch: Batch,
-    discount: float | Tensor,
+    discount: float,
     *,
     double: bool,
 ) -> Tensor:
@@ -94,7 +94,7 @@ def td_errors(
         policy: observations (S, B, obs) to values (S, B, |A|).
         target: the same, for the values of S_{t+1}.
         batch: B transitions per seed.
-        discount: γ, or one for each of the B transitions.
+        discount: γ.
         double: whether the policy chooses the action that the target says the value of.
     """
     with torch.no_grad():

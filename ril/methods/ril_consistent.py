@@ -25,7 +25,7 @@ from ril.vectorized.rollout import Episodes
 
 
 class ConsistentRIL(RIL):
-    """Algorithm 1 with lines 9 and 13 as one descent; either alone is as in RIL or without labels.
+    """Algorithm 1 with lines 9 and 13 as one descent; without rewards line 9 is as in RIL.
 
     Args:
         config: `method` of the configuration.

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ril.report.evidence import Evidence
 from ril.report.findings import REFERENCES, find
-from ril.report.layout import Grid
+from ril.report.layout import Grid, with_interval
 from ril.report.paper import ENVIRONMENTS, Cell, Setting, table
 from ril.report.statistics import Aggregate, aggregate, probability_of_improvement
 
@@ -74,7 +74,7 @@ def statistics_grid(every: dict[str, Scores]) -> Grid:
         seeds = [len(values) for values in scores.values()]
         count = str(seeds[0]) if len(set(seeds)) == 1 else f"{min(seeds)}–{max(seeds)}"
         texts = [
-            "" if part is None else _with_interval(part) for part in (*parts, ahead.get(method))
+            "" if part is None else with_interval(part) for part in (*parts, ahead.get(method))
         ]
         body.append([method, str(len(scores)), count, *texts])
     return Grid(
@@ -94,7 +94,3 @@ def statistics_grid(every: dict[str, Scores]) -> Grid:
         body,
         ["aggregates only of methods that are run on all four environments"],
     )
-
-
-def _with_interval(part: tuple[float, float, float]) -> str:
-    return f"{part[0]:.2f} [{part[1]:.2f}, {part[2]:.2f}]"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from ril.report.evidence import Evidence, command
 from ril.report.findings import Finding, find
 from ril.report.paper import ENVIRONMENTS, Setting, Table, table
+from ril.report.statistics import Estimate
 
 _DIGITS = {
     "aer": 2,
@@ -99,6 +101,12 @@ def interval(found: Finding) -> str:
     if found.interval is None:
         return ""
     return " … ".join(number(found.cell.quantity, end) for end in found.interval)
+
+
+def with_interval(estimate: Estimate, sign: str = "-") -> str:
+    """A value of P and its interval, if there is one; `sign` "+" is for changes."""
+    value, *ends = (f"{number:{sign}.2f}" for number in estimate)
+    return value if math.isnan(estimate[1]) else f"{value} [{', '.join(ends)}]"
 
 
 def papers(found: Finding) -> str:

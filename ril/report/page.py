@@ -56,6 +56,7 @@ class Report:
         figures: in order.
         aggregates: of performance P, by the paper's name of the method.
         improvement: probability that RIL is better and its interval, by the other method.
+        variants: what keys set apart change.
         contradictions: of the paper with itself.
         runs: whose rows are used.
         left_out: rows that were found and not used, a line each.
@@ -66,6 +67,7 @@ class Report:
     figures: Sequence[Drawn]
     aggregates: Mapping[str, Aggregate]
     improvement: Mapping[str, tuple[float, float, float]]
+    variants: layout.Grid
     contradictions: Sequence[Contradiction]
     runs: Sequence[Run]
     left_out: Sequence[str]

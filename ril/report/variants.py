@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ril.report.aggregates import methods
 from ril.report.evidence import Evidence, fullest, lengths
-from ril.report.layout import Grid, number
+from ril.report.layout import Grid, number, with_interval
 from ril.report.paper import ENVIRONMENTS, Setting
 from ril.report.statistics import Estimate, average_interval
 
@@ -68,10 +68,7 @@ def variants(evidence: Evidence, score: str) -> list[Variant]:
                 if not gains.empty:
                     variant.gains[env] = gains.to_numpy(dtype=np.float64)
     apart = {method for method, keys in found if keys}
-    return sorted(
-        (variant for variant in found.values() if variant.method in apart),
-        key=lambda variant: methods(evidence).index(variant.method),
-    )
+    return [variant for variant in found.values() if variant.method in apart]
 
 
 def _by_keys(whole: pd.DataFrame, others: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -95,10 +92,7 @@ def variants_grid(found: list[Variant], score: str) -> Grid:
                 if values is None
                 else f"{number('aer', values.mean(), values.std())} ({len(values)})"
             )
-        changed = ""
-        if each.keys and each.gains:
-            value, low, high = each.gain()
-            changed = f"{value:+.2f} [{low:+.2f}, {high:+.2f}]"
+        changed = with_interval(each.gain(), "+") if each.keys and each.gains else ""
         first = "" if each.keys else each.method
         body.append([first, each.keys or AS_IT_COMES, *texts, changed])
     names = [ENVIRONMENTS[env] for env in environments]
@@ -109,5 +103,9 @@ def variants_grid(found: list[Variant], score: str) -> Grid:
         2,
         ["Method", "Keys", *names, "Change in P"],
         body,
-        ["the change is the mean over the environments of a line, seed by seed"],
+        [
+            "the change is of the seeds that both have, the mean over environments"
+            if body
+            else "no runs with keys set apart"
+        ],
     )

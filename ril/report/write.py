@@ -129,6 +129,7 @@ def _page(wanted: Wanted, evidence: Evidence, tables: list[Results], console: Co
             figures=drawn,
             aggregates=aggregates.aggregates(every),
             improvement=aggregates.improvements(every),
+            variants=variants_grid(variants(evidence, wanted.score), wanted.score),
             contradictions=audit(),
             runs=runs(evidence.rows),
             left_out=evidence.left_out,

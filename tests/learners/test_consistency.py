@@ -135,14 +135,35 @@ def agents_of(flat: Tensor) -> list[Agent]:
     return [Agent(*each) for each in zip(values, policies, strict=True)]
 
 
-@pytest.mark.parametrize("gap", [None, 0.1])
+def drawn(learning: ConsistentLearning, numbers: Any) -> list[tuple[Replay, Tensor, float]]:
+    """For uniform numbers (S, updates, B): each memory, its slots, and γ to the power of its steps.
+
+    Half of a minibatch is of the prior memory, if there is one, and of the rest half of the newest.
+    """
+    own = learning.replay
+    if learning.prior is None:
+        return [(own, random_indices(numbers, own.sizes), DISCOUNT**STEPS)]
+    assert learning.recent is not None
+    before, whole, newest = np.split(numbers, [BATCH // 2, BATCH * 3 // 4], axis=-1)
+    return [
+        (learning.prior, random_indices(before, learning.prior.sizes), DISCOUNT),
+        (own, random_indices(whole, own.sizes), DISCOUNT**STEPS),
+        (own, own.newest(newest, learning.recent), DISCOUNT**STEPS),
+    ]
+
+
+@pytest.mark.parametrize(("gap", "mixed"), [(None, False), (0.1, False), (0.1, True)])
 @pytest.mark.parametrize("labelled", [True, False])
 @pytest.mark.parametrize("loss", ["huber", "mse"])
 def test_training_is_that_of_one_agent_per_seed(
-    loss: str, labelled: bool, gap: float | None
+    loss: str, labelled: bool, gap: float | None, mixed: bool
 ) -> None:
-    learning = learner(loss=loss, gap=gap)
-    lifted = 0  # targets that are further than the gap below the best action's value
+    prior = Replay(2, 90, SIZE, CPU) if mixed else None
+    learning = learner(loss=loss, gap=gap, prior=prior, recent=7 if mixed else None)
+    if mixed:
+        learning.remember(episodes(begin=2), memory=learning.prior)
+    # Targets further than the gap below the best action's value; of them those of that action.
+    lifted, left = 0, 0
     states, labels = expert()
     agents, averages = agents_of(learning.network.flat), agents_of(learning.network.flat)
     weights = {6: 0.7, 9: 0.2}  # by the number of updates that they hold for
@@ -151,29 +172,39 @@ def test_training_is_that_of_one_agent_per_seed(
         for updates, weight in weights.items()
     ]
 
-    replay = learning.replay
     batches, cloning = (Streams(SEEDS, f"{what} batches") for what in ("replay", "cloning"))
     optimizers = [Adam(agent, RATE, CLIP) for agent in agents]
     distance = {"huber": functional.huber_loss, "mse": functional.mse_loss}[loss]
     for (updates, weight), (td_losses, cloning_losses) in zip(weights.items(), found, strict=True):
-        drawn = random_indices(batches.uniform(updates, BATCH), replay.sizes)
+        parts = drawn(learning, batches.uniform(updates, BATCH))
         shown = random_indices(cloning.uniform(updates, BATCH), np.full(2, len(states)))
         totals = torch.zeros(2, len(SEEDS))
         for update in range(updates):
             for seed, (agent, average) in enumerate(zip(agents, averages, strict=True)):
-                at, of_expert = drawn[seed, update], shown[seed, update]
+                of_expert = shown[seed, update]
+                here, actions, rewards, following, ended = (
+                    torch.cat(
+                        [memory.everything()[k][seed, at[seed, update]] for memory, at, _ in parts]
+                    )
+                    for k in range(5)
+                )
+                powers = torch.cat(
+                    [
+                        torch.full_like(at[seed, update], p, dtype=torch.float32)
+                        for _, at, p in parts
+                    ]
+                )
                 with torch.no_grad():
-                    following = replay.next_observations[seed, at]
                     best = average(following).max(dim=1).values
-                    goes_on = 1 - replay.terminated[seed, at]
-                    target = replay.rewards[seed, at] + DISCOUNT**STEPS * goes_on * best
-                    before = average(replay.observations[seed, at])
-                    actions = replay.actions[seed, at]
+                    target = rewards + powers * (1 - ended) * best
+                    before = average(here)
                     for i in range(BATCH) if gap is not None else ():
                         least = before[i].max() - gap
-                        if before[i].argmax() != actions[i] and target[i] < least:
+                        if target[i] < least and before[i].argmax() == actions[i]:
+                            left += 1
+                        elif target[i] < least:
                             target[i], lifted = least, lifted + 1
-                values = agent(replay.observations[seed, at])
+                values = agent(here)
                 td = distance(values[torch.arange(BATCH), actions], target)
                 total, totals[0, seed] = td, totals[0, seed] + td.detach()
                 if labelled:
@@ -189,7 +220,7 @@ def test_training_is_that_of_one_agent_per_seed(
         expected = totals / updates
         torch.testing.assert_close(td_losses, expected[0], rtol=1e-3, atol=1e-5)
         torch.testing.assert_close(cloning_losses, expected[1], rtol=1e-3, atol=1e-5)
-    assert (lifted > 0) == (gap is not None)
+    assert (lifted > 0) == (left > 0) == (gap is not None)
     flats, of_averages = (torch.stack([a.flat() for a in each]) for each in (agents, averages))
     torch.testing.assert_close(learning.network.flat, flats, rtol=1e-3, atol=1e-5)
     torch.testing.assert_close(

@@ -9,6 +9,7 @@ from ril.report.layout import results
 from ril.report.page import Drawn, Report
 from ril.report.provenance import Run
 from ril.report.statistics import Aggregate
+from ril.report.variants import variants, variants_grid
 
 HOSTILE = "<script>alert('x')</script>"
 SVG = '<svg viewBox="0 0 2 1" width="100%" role="img"><path d="M0 0L2 1" stroke="red"/></svg>'
@@ -34,6 +35,7 @@ def sample(*cells: dict[str, object], tables: tuple[str, ...] = ("table2", "tabl
         [Drawn("figure4", "Box plots", "A box per method.", SVG)],
         {"RIL": Aggregate(*[(0.5, 0.25, -0.75)] * 4)},
         {"BC": (0.625, 0.5, 0.75)},
+        variants_grid(variants(given, "best"), "best"),
         [Contradiction("Table 2", "0.55", "0.63", "recomputed")],
         [RUN],
         ["a/results.csv: line 3: torn"],

@@ -52,6 +52,29 @@ def test_a_table_goes_to_standard_output(
     assert shown.err == ""
 
 
+def test_what_keys_change_goes_to_standard_output_and_to_files(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    apart = {"run_id": "b", "variant": "method.episodes=2", "aer": -95.0}
+    leave_run(folder / "outputs" / "two", apart | {"seed": 0}, apart | {"seed": 1})
+    report(monkeypatch, "variants")
+    shown = capsys.readouterr()
+    assert "| -95.00 ± 0.00 (2)" in shown.out
+    assert "+0.10 [+0.10, +0.10]" in shown.out
+    for ending in ("pdf", "png"):
+        assert f"report/variants.{ending}" in shown.err
+        assert (folder / "report" / f"variants.{ending}").stat().st_size > 1000
+
+
+def test_without_keys_set_apart_there_is_nothing_to_draw(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report(monkeypatch, "variants")
+    shown = capsys.readouterr()
+    assert "no runs with keys set apart" in shown.out
+    assert "variants: no rows to draw yet" in shown.err
+
+
 def test_several_tables_stand_in_the_reports_order(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -92,8 +92,42 @@ def test_the_figure_has_a_row_per_variant_and_a_mark_per_environment() -> None:
     [axes] = figure.axes
     labels = [label.get_text() for label in axes.get_yticklabels()]
     assert labels == ["episodes=2", "q_learning.fade=False"]
+    bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axes.patches]
+    gains = [[0.20, 0.0], [0.10, 0.05]]
+    assert bars == [pytest.approx(mean_interval(gain)) for gain in gains]
     marks = [line for line in axes.lines if line.get_marker() not in ("None", None, "")]
     assert [(float(m.get_xdata()[0]), float(m.get_ydata()[0])) for m in marks] == [
         (pytest.approx(0.10), 0),
         (pytest.approx(0.075), 1),
     ]
+
+
+def test_a_panel_is_blank_where_a_variant_was_not_run_and_methods_are_named() -> None:
+    given = evidence(
+        *run("a", [-110.0, -120.0]),
+        *run("b", [-100.0, -115.0], variant=FADE),
+        *run("c", [-110.0], method="iupe"),
+        *run("d", [-105.0], method="iupe", variant="method.episodes=2"),
+        *run("e", [-110.0], method="iupe", env="acrobot"),
+        *run("f", [-105.0], method="iupe", env="acrobot", variant="method.episodes=2"),
+    )
+    figure = changes([each for each in variants(given, "best") if each.keys])
+    acrobot, mountaincar = figure.axes
+    labels = [label.get_text() for label in acrobot.get_yticklabels()]
+    assert labels == ["IUPE: episodes=2", "RIL: q_learning.fade=False"]
+    assert (acrobot.get_title("left"), mountaincar.get_title("left")) == ("Acrobot", "MountainCar")
+    for axes, rows in ((acrobot, [0]), (mountaincar, [0, 1])):
+        marks = [line for line in axes.lines if line.get_marker() not in ("None", None, "")]
+        assert [float(mark.get_ydata()[0]) for mark in marks] == rows
+
+
+def test_a_single_seed_has_no_interval() -> None:
+    given = evidence(*run("a", [-110.0]), *run("b", [-100.0], variant=FADE))
+    grid = variants_grid(variants(given, "best"), "best")
+    assert grid.body[-1][-1] == "+0.10"
+
+
+def test_without_variants_the_table_says_so() -> None:
+    grid = variants_grid(variants(evidence(*run("a", [-110.0])), "best"), "best")
+    assert grid.body == []
+    assert grid.notes == ["no runs with keys set apart"]

@@ -230,3 +230,13 @@ def test_the_newest_are_those_that_came_last_each_as_likely(
     rewards = sorted(drawn.rewards[0].tolist())
     of_expected = sorted(float(reward) for *_, reward, _, _, _ in expected)
     assert rewards == [reward for reward in of_expected for _ in range(2)]
+
+
+def test_the_newest_are_each_seeds_own() -> None:
+    """One seed has three of four slots filled, the other has gone round once."""
+    replay = Replay(2, 4, OBS, CPU)
+    episodes = numbered_episodes([3, 3, 3, 3])
+    replay.append(episodes, keep=np.array([True, False, True, True]))
+    every = np.tile(np.array([0.1, 0.4, 0.6, 0.9], dtype=np.float32), (2, 1))
+    assert replay.newest(every[:, ::2], 2).tolist() == [[2, 1], [1, 0]]
+    assert replay.newest(every, 4).tolist() == [[2, 1, 1, 0], [1, 0, 3, 2]]
