@@ -33,7 +33,7 @@ SEEDS = "[100,101,102,103,104]"
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 COLUMNS = (
     *("changed", "env", "seeds", "performance", "aer", "aer_std", "worst", "aer_last"),
-    *("aer_last_std", "samples_to_best", "processor_seconds"),
+    *("aer_last_std", "samples_to_best", "processor_seconds", "commit"),
 )
 AS_IT_COMES = "as it comes"
 
@@ -127,6 +127,7 @@ def run(method: str, env: str) -> None:
                 "aer_last_std": rows["aer_last"].std(ddof=0),
                 "samples_to_best": rows["samples_to_best"].mean(),
                 "processor_seconds": time.process_time() - started,
+                "commit": rows["commit"].iloc[0],
             }
             append(path, row)
 
