@@ -91,7 +91,7 @@ def _latex_line(cells: list[str]) -> str:
 
 
 def _escaped(text: str) -> str:
-    signed = re.sub(r"(?<!\S)-(?=\d)", "−", text)
+    signed = re.sub(r"(?<![^\s\[])-(?=\d)", "−", text)
     return _LATEX_SPECIAL.sub(lambda found: _LATEX[found[0]], signed)
 
 

@@ -105,7 +105,7 @@ def interval(found: Finding) -> str:
 
 def with_interval(estimate: Estimate, sign: str = "-") -> str:
     """A value of P and its interval, if there is one; `sign` "+" is for changes."""
-    value, *ends = (f"{number:{sign}.2f}" for number in estimate)
+    value, *ends = (f"{number:{sign}z.2f}" for number in estimate)
     return value if math.isnan(estimate[1]) else f"{value} [{', '.join(ends)}]"
 
 

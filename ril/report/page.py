@@ -209,4 +209,4 @@ def _tallies(what: str, numbers: Iterable[tuple[str, Placed]]) -> list[Tally]:
 
 def _signed(text: str) -> str:
     """Numbers in a text with a minus sign, which is as wide as their digits, for a hyphen."""
-    return re.sub(r"(?<!\S)-(?=\d)", "−", text)
+    return re.sub(r"(?<![^\s\[])-(?=\d)", "−", text)
