@@ -150,15 +150,18 @@ def append(path: Path, row: dict[str, Any]) -> None:
 
 def show() -> None:
     """Print a table per method: what each change does to the returns of each environment."""
-    for path in sorted(SEARCH.glob("*.csv")):
+    for method, choices in CHOICES.items():
+        path = SEARCH / f"{method}.csv"
+        if not path.exists():
+            continue
         tried = pd.read_csv(path)
         tried["cell"] = [
             f"{row.aer:.1f} ± {row.aer_std:.1f} ({row.aer_last:.1f})" for row in tried.itertuples()
         ]
         table = tried.pivot(index="changed", columns="env", values="cell")
-        order = [name for name in CHOICES[path.stem] if name in table.index]
+        order = [name for name in choices if name in table.index]
         table = table.reindex(index=order, columns=[e for e in ENVIRONMENTS if e in table])
-        print(f"\n### `method={path.stem}`\n")
+        print(f"\n### `method={method}`\n")
         print(f"| changed | {' | '.join(table.columns)} |\n|---|{'---|' * len(table.columns)}")
         for changed, cells in table.fillna("–").iterrows():
             named = changed if changed == AS_IT_COMES else f"`{changed}`"
