@@ -39,6 +39,7 @@ def changes(found: Sequence[Variant]) -> Figure:
         axes.axvline(0, color=INK, ls="--", lw=0.8)
         axes.set_title(ENVIRONMENTS[env], loc="left")
         name_rows(axes, names)
+        axes.locator_params(axis="x", nbins=4)  # longer numbers would touch
     figure.supxlabel("change in performance P", fontsize=8)
     return figure
 
