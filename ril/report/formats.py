@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from ril.report.layout import Grid, Results
+from ril.report.layout import Grid, Results, signed
 
 _VERDICT_STYLES = {"matches": "blue", "better": "green", "worse": "red", "not run": "dim"}
 _LATEX = {
@@ -91,8 +91,7 @@ def _latex_line(cells: list[str]) -> str:
 
 
 def _escaped(text: str) -> str:
-    signed = re.sub(r"(?<![^\s\[])-(?=\d)", "−", text)
-    return _LATEX_SPECIAL.sub(lambda found: _LATEX[found[0]], signed)
+    return _LATEX_SPECIAL.sub(lambda found: _LATEX[found[0]], signed(text))
 
 
 def grid_as_csv(grid: Grid) -> str:

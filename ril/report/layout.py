@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -107,6 +108,11 @@ def with_interval(estimate: Estimate, sign: str = "-") -> str:
     """A value of P and its interval, if there is one; `sign` "+" is for changes."""
     value, *ends = (f"{number:{sign}z.2f}" for number in estimate)
     return value if math.isnan(estimate[1]) else f"{value} [{', '.join(ends)}]"
+
+
+def signed(text: str) -> str:
+    """Numbers in a text with a minus sign, which is as wide as their digits, for a hyphen."""
+    return re.sub(r"(?<![^\s\[])-(?=\d)", "−", text)
 
 
 def papers(found: Finding) -> str:

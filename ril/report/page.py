@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -147,7 +146,7 @@ def page(report: Report) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["signed"] = _signed
+    environment.filters["signed"] = layout.signed
     return environment.get_template("page.html.j2").render(
         report=report,
         tables=tables,
@@ -205,8 +204,3 @@ def _tallies(what: str, numbers: Iterable[tuple[str, Placed]]) -> list[Tally]:
     for value, placed in numbers:
         groups.setdefault(value, []).append(placed)
     return [_tally(value, {what: value}, together) for value, together in groups.items()]
-
-
-def _signed(text: str) -> str:
-    """Numbers in a text with a minus sign, which is as wide as their digits, for a hyphen."""
-    return re.sub(r"(?<![^\s\[])-(?=\d)", "−", text)
