@@ -47,6 +47,7 @@ _BOUNDS = {
     "n": (1, math.inf),
     "expert_return": (-math.inf, math.inf),
     "imitation_weight": (0, math.inf),
+    "min_confidence": (0, 1),
     "tau": (1e-6, 1),
 }
 _CHOICES = {

@@ -103,6 +103,8 @@ class ConsistencyConfig(TemporalDifferenceConfig):
     gap: float | None = MISSING
     imitation_weight: float = MISSING
     fade: bool = MISSING
+    min_confidence: float = MISSING
+    anneal: bool = MISSING
     replay_trajectories: float = MISSING
     replay_recent: float | None = MISSING
     replay_pre: bool = MISSING

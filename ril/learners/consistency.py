@@ -37,6 +37,7 @@ class ConsistentLearning:
     Attributes:
         average: of the networks over the last updates, whose values are the targets.
         policy: the average's π alone, as logits; it is what acts.
+        optimizer: of the networks.
         unit: (S,) by which rewards are divided; 0 until the first episodes.
     """
 
@@ -64,8 +65,8 @@ class ConsistentLearning:
         self._streams = {
             purpose: Streams(seeds, purpose) for purpose in ("replay batches", "cloning batches")
         }
-        self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
-        self._descend = descent(self._optimizer, self._loss, fused=fused)
+        self.optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
+        self._descend = descent(self.optimizer, self._loss, fused=fused)
 
     def remember(
         self,
@@ -94,7 +95,7 @@ class ConsistentLearning:
         memory.append(n_step(episodes, steps, config.discount, unit), keep)
 
     def train(
-        self, updates: int, states: Tensor, labels: Tensor | None, weight: float
+        self, updates: int, states: Tensor, labels: Tensor | None, weights: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Minibatch steps of the temporal-difference loss and, beside it, of cross-entropy.
 
@@ -102,7 +103,7 @@ class ConsistentLearning:
             updates: how many steps.
             states: (M, obs) of the expert, the same for all seeds.
             labels: (S, M) the actions given for them; None learns from the transitions alone.
-            weight: of the cross-entropy.
+            weights: (S, M) of their cross-entropy.
 
         Returns:
             (S,) mean temporal-difference loss over the steps, and mean cross-entropy.
@@ -124,8 +125,7 @@ class ConsistentLearning:
             anchor: tuple[Tensor | None, ...] = (None, None, None)
             if labels is not None:
                 chosen = shown[:, update]
-                scale = torch.tensor(weight, device=device)
-                anchor = states[chosen], labels.gather(1, chosen), scale
+                anchor = states[chosen], labels.gather(1, chosen), weights.gather(1, chosen)
             # A compiled graph refuses other strides than its first.
             at = [drawn[:, update].contiguous() for drawn in slots]
             _, *losses = self._descend(self.average.flat, stored, at, *anchor)
@@ -150,7 +150,7 @@ class ConsistentLearning:
         slots: list[Tensor],
         states: Tensor | None,
         labels: Tensor | None,
-        weight: Tensor | None,
+        weights: Tensor | None,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """What is descended, and its two parts; each (S, B).
 
@@ -161,7 +161,7 @@ class ConsistentLearning:
             slots: of each memory those that are learnt from, (S, B) together.
             states: (S, B, obs) of the expert; None leaves the second part out.
             labels: (S, B) their actions.
-            weight: () of the second part.
+            weights: (S, B) of the second part.
         """
         architecture, config = self.network.architecture, self.config
         assert isinstance(architecture, Consistent)
@@ -169,13 +169,13 @@ class ConsistentLearning:
         values = architecture.forward(parameters, batch.observations)
         errors = taken(values, batch.actions) - self._targets(average, batch, slots)
         td = td_losses(errors, config.loss)
-        if states is None or labels is None or weight is None:
+        if states is None or labels is None or weights is None:
             return td, td, torch.zeros_like(td)
         logits = architecture.logits(parameters, states)
         # Cross-entropy; compiled together with the above, torch's own is rounded otherwise for
         # one seed alone than for several.
         cloning = logits.logsumexp(dim=-1) - taken(logits, labels)
-        return td + weight * cloning, td, cloning
+        return td + weights * cloning, td, cloning
 
     @torch.no_grad()
     def _targets(self, average: Tensor, batch: Batch, slots: list[Tensor]) -> Tensor:
@@ -212,7 +212,7 @@ class ConsistentLearning:
             "network": self.network.flat,
             "average": self.average.flat,
             "unit": self.unit,
-            "optimizer": self._optimizer.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
             "replay": self.replay.state_dict(),
             "prior": None if self.prior is None else self.prior.state_dict(),
             "streams": {name: each.state_dict() for name, each in self._streams.items()},
@@ -223,7 +223,7 @@ class ConsistentLearning:
         self.network.flat.copy_(state["network"])
         self.average.flat.copy_(state["average"])
         self.unit.copy_(state["unit"])
-        self._optimizer.load_state_dict(state["optimizer"])
+        self.optimizer.load_state_dict(state["optimizer"])
         self.replay.load_state_dict(state["replay"])
         if self.prior is not None:
             self.prior.load_state_dict(state["prior"])

@@ -18,6 +18,7 @@ from ril.learners.exploration import exploration_ratio, sample_softmax
 from ril.learners.goal_sampler import select
 from ril.learners.inverse_dynamics import InverseDynamics
 from ril.learners.stopping import StoppingRule
+from ril.learners.td import taken
 from ril.learners.topology import mlp
 from ril.schema import GoalConfig, IUPEConfig
 from ril.task import Task
@@ -40,6 +41,9 @@ class SelfSupervisedImitation:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
         policy: π_φ, which is cloned and has labels from what it does.
+
+    Attributes:
+        confidence: (S, M) probability of each of the newest pseudo-labels by M_θ.
     """
 
     def __init__(self, config: IUPEConfig, task: Task, policy: Network) -> None:
@@ -72,6 +76,7 @@ class SelfSupervisedImitation:
         self.pre = Replay(len(seeds), capacity, size, task.device)
         self.pos = Replay(len(seeds), capacity, size, task.device)
         self.positive_share = np.zeros(len(seeds))
+        self.confidence = torch.zeros(len(seeds), len(self.expert_states), device=task.device)
         self.stopping = StoppingRule(config.stopping, len(seeds))
         self._streams = {
             purpose: Streams(seeds, purpose)
@@ -139,9 +144,12 @@ class SelfSupervisedImitation:
         with torch.no_grad():
             logits = torch.cat([self.inverse_dynamics(*chunk) for chunk in chunks], dim=1)
         if self.config.inverse_dynamics.labels == "argmax":
-            return logits.argmax(dim=-1)
-        uniform = self._streams["labels"].uniform(logits.shape[1])
-        return sample_softmax(logits, torch.from_numpy(uniform).to(logits.device))
+            labels = logits.argmax(dim=-1)
+        else:
+            uniform = self._streams["labels"].uniform(logits.shape[1])
+            labels = sample_softmax(logits, torch.from_numpy(uniform).to(logits.device))
+        self.confidence = taken(logits.softmax(dim=-1), labels)
+        return labels
 
     def look_at_expert(self, cloning_loss: NDArray[np.float64] | None) -> NDArray[np.float64]:
         """What the policy makes of the expert's states: whether to stop, and how much to explore.

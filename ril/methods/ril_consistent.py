@@ -96,8 +96,12 @@ class ConsistentRIL(RIL):
         ablation, weight = self.task.ablation, settings.imitation_weight
         if settings.fade:
             weight *= 1 - positive_limit(self.epoch - 1, ablation.n, ablation.k)
+        if settings.anneal:
+            left = 1 - (self.epoch - 1) / self.epochs
+            self.learning.optimizer.learning_rate = settings.learning_rate * left
+        sure = self.imitation.confidence >= settings.min_confidence
         td_loss, cloning_loss = self.learning.train(
-            settings.updates, self.imitation.expert_states, labels, weight
+            settings.updates, self.imitation.expert_states, labels, weight * sure
         )
         metrics = {"td_loss": td_loss.double().cpu().numpy()}
         if labels is not None:

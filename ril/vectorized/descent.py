@@ -48,13 +48,13 @@ def descent(adam: ClippedAdam, loss: Loss, *, fused: bool) -> Callable[..., tupl
         gradients, values = torch.func.grad(total, has_aux=True)(views)
         gradient = torch.cat([each.flatten(1) for each in gradients.values()], dim=1)
         mean, denominator = adam.change(gradient, scales[1])
-        parameters.sub_(adam.learning_rate / scales[0] * mean / denominator)
+        parameters.sub_(scales[2] / scales[0] * mean / denominator)
         descended: tuple[Tensor, ...] = values
         return descended
 
     def step(*tensors: Tensor) -> tuple[Tensor, ...]:
         # As a tensor, since a number that changes would be compiled anew.
-        scales = torch.tensor(adam.scales(), device=network.flat.device)
+        scales = torch.tensor((*adam.scales(), adam.learning_rate), device=network.flat.device)
         values: tuple[Tensor, ...] = whole(network.flat, scales, *tensors)
         adam.steps += 1
         return values

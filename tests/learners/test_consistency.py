@@ -49,7 +49,9 @@ def config(**changes: object) -> ConsistencyConfig:
         "temperature": TEMPERATURE,
         "gap": None,
         "imitation_weight": 1.0,
+        "min_confidence": 0.0,
         "fade": True,
+        "anneal": False,
         "replay_trajectories": 10.0,
         "replay_recent": None,
         "replay_pre": True,
@@ -84,6 +86,11 @@ def expert(seeds: tuple[int, ...] = SEEDS) -> tuple[Tensor, Tensor]:
     states = np.random.default_rng(5).normal(size=(11, SIZE)).astype(np.float32)
     labels = [np.random.default_rng([5, seed]).integers(ACTIONS, size=11) for seed in seeds]
     return torch.from_numpy(states), torch.from_numpy(np.stack(labels))
+
+
+def weighing(weight: float, labels: Tensor | None = None) -> Tensor:
+    """The same weight for each label, by default for those of `expert()`."""
+    return torch.full((len(SEEDS), 11) if labels is None else labels.shape, weight)
 
 
 def learner(
@@ -166,16 +173,20 @@ def test_training_is_that_of_one_agent_per_seed(
     lifted, left = 0, 0
     states, labels = expert()
     agents, averages = agents_of(learning.network.flat), agents_of(learning.network.flat)
-    weights = {6: 0.7, 9: 0.2}  # by the number of updates that they hold for
+    numbers = np.random.default_rng(6)
+    weights = {  # by the number of updates that they hold for
+        updates: torch.from_numpy(numbers.random(labels.shape, dtype=np.float32))
+        for updates in (6, 9)
+    }
     found = [
-        learning.train(updates, states, labels if labelled else None, weight)
-        for updates, weight in weights.items()
+        learning.train(updates, states, labels if labelled else None, each)
+        for updates, each in weights.items()
     ]
 
     batches, cloning = (Streams(SEEDS, f"{what} batches") for what in ("replay", "cloning"))
     optimizers = [Adam(agent, RATE, CLIP) for agent in agents]
     distance = {"huber": functional.huber_loss, "mse": functional.mse_loss}[loss]
-    for (updates, weight), (td_losses, cloning_losses) in zip(weights.items(), found, strict=True):
+    for (updates, each), (td_losses, cloning_losses) in zip(weights.items(), found, strict=True):
         parts = drawn(learning, batches.uniform(updates, BATCH))
         shown = random_indices(cloning.uniform(updates, BATCH), np.full(2, len(states)))
         totals = torch.zeros(2, len(SEEDS))
@@ -209,9 +220,11 @@ def test_training_is_that_of_one_agent_per_seed(
                 total, totals[0, seed] = td, totals[0, seed] + td.detach()
                 if labelled:
                     logits = agent(states[of_expert]) / TEMPERATURE
-                    imitated = functional.cross_entropy(logits, labels[seed, of_expert])
-                    total = td + weight * imitated
-                    totals[1, seed] += imitated.detach()
+                    imitated = functional.cross_entropy(
+                        logits, labels[seed, of_expert], reduction="none"
+                    )
+                    total = td + (each[seed, of_expert] * imitated).mean()
+                    totals[1, seed] += imitated.detach().mean()
                 optimizers[seed].step(total)
                 with torch.no_grad():
                     pairs = zip(average.parameters(), agent.parameters(), strict=True)
@@ -246,7 +259,7 @@ def test_half_of_each_minibatch_is_of_what_was_done_before() -> None:
     learning.prior.rewards.fill_(3.0)
     level(learning.network, 0.0)
     value = TEMPERATURE * np.log(1 / ACTIONS)
-    td_losses, _ = learning.train(1, expert()[0], None, 0.0)
+    td_losses, _ = learning.train(1, expert()[0], None, weighing(0.0))
     expected = ((1 - value) ** 2 + (3 - value) ** 2) / 2
     assert td_losses.tolist() == pytest.approx([expected, expected], rel=1e-5)
 
@@ -263,7 +276,7 @@ def test_a_quarter_of_each_minibatch_is_of_its_newest_steps() -> None:
     learning.replay.rewards[torch.arange(2), learning.replay.newest(np.zeros((2, 1)), 1)[:, 0]] = 9
     level(learning.network, 0.0)
     value = TEMPERATURE * np.log(1 / ACTIONS)
-    td_losses, _ = learning.train(1, expert()[0], None, 0.0)
+    td_losses, _ = learning.train(1, expert()[0], None, weighing(0.0))
     of_nines = [(9 - value) ** 2, (1 - value) ** 2]  # of the other quarter one may be it, too
     least = ((3 - value) ** 2 * 4 + of_nines[0] * 2 + of_nines[1] * 2) / BATCH
     more = least + (of_nines[0] - of_nines[1]) * np.array([0, 1, 2]) / BATCH
@@ -282,7 +295,7 @@ def test_the_next_value_counts_by_the_steps_of_each_memory() -> None:
     level(learning.network, 1.0)
     level(learning.average, 1.0)
     value = 1 + TEMPERATURE * np.log(1 / ACTIONS)
-    td_losses, _ = learning.train(1, expert()[0], None, 0.0)
+    td_losses, _ = learning.train(1, expert()[0], None, weighing(0.0))
     errors = [value * (1 - DISCOUNT**steps) for steps in (2, STEPS)]
     assert td_losses.tolist() == pytest.approx([np.mean(np.square(errors))] * 2, rel=1e-4)
 
@@ -291,7 +304,8 @@ def test_a_seeds_training_does_not_depend_on_other_seeds() -> None:
     flats = []
     for seeds in ((5,), (3, 5, 9)):
         learning = learner(seeds)
-        learning.train(10, *expert(seeds), 1.0)
+        states, labels = expert(seeds)
+        learning.train(10, states, labels, weighing(1.0, labels))
         flats.append((learning.network.flat, learning.policy.flat))
     for of_alone, of_several in zip(*flats, strict=True):
         assert torch.equal(of_several[1], of_alone[0])
@@ -302,7 +316,7 @@ def test_no_updates_change_no_parameter(labelled: bool) -> None:
     learning = learner()
     states, labels = expert()
     before = copied(learning.state_dict())
-    losses = learning.train(0, states, labels if labelled else None, 1.0)
+    losses = learning.train(0, states, labels if labelled else None, weighing(1.0))
     assert [loss.tolist() for loss in losses] == [[0.0, 0.0], [0.0, 0.0]]
     assert_equal_states(learning.state_dict(), before)
 
@@ -312,7 +326,7 @@ def test_without_weight_labels_leave_the_training_as_without_them() -> None:
     states, labels = expert()
     td_losses = []
     for learning, given in ((with_labels, labels), (without, None)):
-        td_loss, cloning_loss = learning.train(12, states, given, 0.0)
+        td_loss, cloning_loss = learning.train(12, states, given, weighing(0.0))
         td_losses.append(td_loss)
         assert cloning_loss.any() == (given is not None)
     assert torch.equal(*td_losses)
@@ -324,10 +338,23 @@ def test_weight_makes_a_difference() -> None:
     flats = []
     for weight in (0.0, 0.5, 1.0):
         learning = learner()
-        learning.train(3, *expert(), weight)
+        learning.train(3, *expert(), weighing(weight))
         flats.append(learning.network.flat)
     assert not torch.equal(flats[0], flats[1])
     assert not torch.equal(flats[1], flats[2])
+
+
+def test_a_label_without_weight_is_not_imitated() -> None:
+    """Whatever it says: only the others are learnt from."""
+    states, labels = expert()
+    weights = weighing(1.0, labels)
+    weights[:, ::2] = 0.0
+    flats = []
+    for given in (labels, torch.where(weights > 0, labels, (labels + 1) % ACTIONS)):
+        learning = learner()
+        learning.train(6, states, given, weights)
+        flats.append(learning.network.flat)
+    assert torch.equal(*flats)
 
 
 def test_labels_are_imitated() -> None:
@@ -336,7 +363,7 @@ def test_labels_are_imitated() -> None:
     agreement = []
     for weight in (0.0, 10.0):
         learning = learner(tau=0.05, gradient_clip=None)
-        learning.train(400, states, labels, weight)
+        learning.train(400, states, labels, weighing(weight))
         greedy = learning.policy(states.expand(2, -1, -1)).argmax(dim=-1)
         agreement.append((greedy == labels).float().mean().item())
     assert agreement[0] < 0.7 < 0.9 < agreement[1]
@@ -390,7 +417,7 @@ def test_later_episodes_do_not_change_the_unit() -> None:
     first, later = episodes(scale=7.0), episodes(begin=1, scale=0.01)
     learning.remember(first)
     before, stored = learning.unit.clone(), learning.replay.sizes.copy()
-    learning.train(3, *expert(), 1.0)
+    learning.train(3, *expert(), weighing(1.0))
     learning.remember(later)
     assert torch.equal(learning.unit, before)
     for seed in range(len(SEEDS)):
@@ -441,7 +468,7 @@ def test_the_policy_begins_as_the_networks_own() -> None:
 def test_the_policy_is_that_of_the_average_and_moves_with_it() -> None:
     learning = learner()
     before = logits_of(learning)
-    learning.train(10, *expert(), 1.0)
+    learning.train(10, *expert(), weighing(1.0))
     average = learning.state_dict()["average"]
     torch.testing.assert_close(logits_of(learning), policy_stream_of(average))
     assert not torch.allclose(logits_of(learning), before)
@@ -458,14 +485,14 @@ def test_the_policy_lies_in_the_averages_memory() -> None:
 
 def test_where_the_average_moves_all_the_way_the_policy_is_the_networks_own() -> None:
     learning = learner(tau=1.0)
-    learning.train(5, *expert(), 1.0)
+    learning.train(5, *expert(), weighing(1.0))
     torch.testing.assert_close(learning.policy.flat, learning.network.flat[:, OF_VALUE:])
 
 
 def test_a_saved_state_goes_on_alike() -> None:
     learning = learner()
     states, labels = expert()
-    learning.train(6, states, labels, 1.0)
+    learning.train(6, states, labels, weighing(1.0))
     resumed = learner(filled=False)
     resumed.load_state_dict(copied(learning.state_dict()))
     assert_equal_states(copied(resumed.state_dict()), copied(learning.state_dict()))
@@ -473,7 +500,7 @@ def test_a_saved_state_goes_on_alike() -> None:
     losses = []
     for each in (learning, resumed):
         each.remember(episodes(begin=1, scale=3.0))  # in the first ones' unit
-        losses.append(each.train(5, states, labels, 0.5))
+        losses.append(each.train(5, states, labels, weighing(0.5)))
     assert all(map(torch.equal, *losses))
     assert torch.equal(resumed.policy.flat, learning.policy.flat)
     assert_equal_states(copied(resumed.state_dict()), copied(learning.state_dict()))
@@ -496,8 +523,9 @@ def trained(seeds: tuple[int, ...], labelled: bool, *, fused: bool) -> list[Tens
         gap=0.3,
     )
     states, labels = expert(seeds)
+    given = labels if labelled else None
     losses = [
-        torch.stack(learning.train(updates, states, labels if labelled else None, weight))
+        torch.stack(learning.train(updates, states, given, weighing(weight, labels)))
         for updates, weight in ((12, 0.7), (8, 0.2))
     ]
     return [learning.network.flat, learning.state_dict()["average"], *losses]

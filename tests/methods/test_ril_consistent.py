@@ -17,6 +17,7 @@ from ril.evaluation import Evaluation
 from ril.experiment import run
 from ril.learners.consistency import ConsistentLearning
 from ril.learners.exploration import Explorer
+from ril.learners.imitation import SelfSupervisedImitation
 from ril.learners.td import n_step
 from ril.methods.base import Progress
 from ril.methods.ril import RIL
@@ -92,9 +93,10 @@ def rewards_alone(method: ConsistentRIL, epochs: int, epsilon: float) -> Network
     )
     explorer = Explorer(config.exploration, task, learning.policy)
     nothing = torch.zeros(1, size)
-    for _ in range(epochs):
+    for epoch in range(epochs):
+        learning.optimizer.learning_rate = settings.learning_rate * (1 - epoch / epochs)
         learning.remember(explorer.play(np.full(len(task.seeds), epsilon)))
-        learning.train(settings.updates, nothing, None, 0.0)
+        learning.train(settings.updates, nothing, None, torch.zeros(len(task.seeds), 1))
     return learning.policy
 
 
@@ -183,17 +185,27 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     train = ConsistentLearning.train
 
     def called(
-        self: ConsistentLearning, updates: int, states: Tensor, labels: Any, weight: float
+        self: ConsistentLearning, updates: int, states: Tensor, labels: Any, weights: Tensor
     ) -> tuple[Tensor, Tensor]:
-        losses = train(self, updates, states, labels, weight)
-        given = {"updates": updates, "states": states, "labels": labels, "weight": weight}
-        recorded.append(given | {"losses": losses})
+        losses = train(self, updates, states, labels, weights)
+        rate = self.optimizer.learning_rate
+        given = {"updates": updates, "states": states, "labels": labels, "weights": weights}
+        recorded.append(given | {"rate": rate, "losses": losses})
         return losses
 
     monkeypatch.setattr(ConsistentLearning, "train", called)
     return recorded
 
 
+def weights_of(calls: list[dict[str, Any]]) -> list[float]:
+    """Of each call the one weight that all labels have."""
+    for call in calls:
+        assert call["weights"].shape == call["labels"].shape
+        assert call["weights"].unique().numel() == 1
+    return [call["weights"][0, 0].item() for call in calls]
+
+
+ALL_LABELS = "method.q_learning.min_confidence=0"
 WEIGHT_OF_2 = "method.q_learning.imitation_weight=2"
 
 
@@ -208,27 +220,68 @@ def test_the_weight_of_imitation_falls_with_equation_2(
             "ablation.k=2",
             f"method.goal_sampler.upper_limit={str(upper_limit).lower()}",
             WEIGHT_OF_2,
+            ALL_LABELS,
         )
     )
     # 1 / (1 + (4/e − 1)^(−2)) at e = 0, 1, …
     expected = [1, 1 / (1 + 3**-2), 1 / (1 + 1), 1 / (1 + 3**2), 0, 0]
-    assert [call["weight"] for call in calls] == pytest.approx([2 * each for each in expected])
+    assert weights_of(calls) == pytest.approx([2 * each for each in expected])
 
 
 def test_the_weight_of_imitation_falls_as_steeply_as_k_says(
     make: Make, calls: list[dict[str, Any]]
 ) -> None:
     weight = "method.q_learning.imitation_weight=1"
-    trained(make("method.epochs=3", "ablation.n=4", "ablation.k=1", weight))
+    trained(make("method.epochs=3", "ablation.n=4", "ablation.k=1", weight, ALL_LABELS))
     expected = [1, 1 / (1 + 3**-1), 1 / (1 + 1)]
-    assert [call["weight"] for call in calls] == pytest.approx(expected)
+    assert weights_of(calls) == pytest.approx(expected)
 
 
 def test_the_weight_of_imitation_stays_where_it_is_not_to_fade(
     make: Make, calls: list[dict[str, Any]]
 ) -> None:
-    trained(make("method.epochs=6", "method.q_learning.fade=false", WEIGHT_OF_2))
-    assert [call["weight"] for call in calls] == [2] * 6
+    trained(make("method.epochs=6", "method.q_learning.fade=false", WEIGHT_OF_2, ALL_LABELS))
+    assert weights_of(calls) == [2] * 6
+
+
+def test_labels_that_inverse_dynamics_is_unsure_of_have_no_weight(
+    make: Make, calls: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    least, confidence = 0.6, []
+    infer = SelfSupervisedImitation.infer_actions
+
+    def inferred(self: SelfSupervisedImitation, limit: float) -> Any:
+        answer = infer(self, limit)
+        states = (x.expand(2, -1, -1) for x in (self.expert_states, self.expert_next))
+        with torch.no_grad():
+            chances = self.inverse_dynamics(*states).softmax(dim=-1)
+        assert torch.equal(chances.argmax(dim=-1), answer[1])
+        confidence.append(chances.amax(dim=-1))
+        return answer
+
+    monkeypatch.setattr(SelfSupervisedImitation, "infer_actions", inferred)
+    unsure = f"method.q_learning.min_confidence={least}"
+    trained(make("method.q_learning.fade=false", WEIGHT_OF_2, unsure))
+    sure = torch.stack(confidence) >= least
+    assert 0 < sure.float().mean() < 1
+    weights = torch.stack([call["weights"] for call in calls])
+    assert torch.equal(weights, 2.0 * sure)
+
+
+def test_the_learning_rate_falls_linearly_over_the_epochs(
+    make: Make, calls: list[dict[str, Any]]
+) -> None:
+    settings = ("method.epochs=4", "method.episodes=2", "method.q_learning.learning_rate=0.004")
+    trained(make(*settings))
+    expected = np.repeat([0.004, 0.003, 0.002, 0.001], 2)
+    assert [call["rate"] for call in calls] == pytest.approx(expected.tolist())
+
+
+def test_the_learning_rate_stays_where_it_is_not_to_fall(
+    make: Make, calls: list[dict[str, Any]]
+) -> None:
+    trained(make("method.q_learning.anneal=false", "method.q_learning.learning_rate=0.004"))
+    assert [call["rate"] for call in calls] == [0.004] * 3
 
 
 def test_each_episode_is_followed_by_updates_on_the_labels_of_its_epoch(
