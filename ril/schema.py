@@ -95,7 +95,6 @@ class ConsistencyConfig(TemporalDifferenceConfig):
     """Both halves in one descent, of `ril_consistent`."""
 
     n_steps: int = MISSING
-    n_steps_pre: int = MISSING
     tau: float = MISSING
     value_hidden: list[int] = MISSING
     value_scale: float = MISSING
@@ -107,7 +106,6 @@ class ConsistencyConfig(TemporalDifferenceConfig):
     anneal: bool = MISSING
     replay_trajectories: float = MISSING
     replay_recent: float | None = MISSING
-    replay_pre: bool = MISSING
 
 
 @dataclass

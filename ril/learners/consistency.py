@@ -14,7 +14,7 @@ from ril.learners.td import n_step, taken, td_losses, td_targets
 from ril.schema import ConsistencyConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import Consistent, Network, Parameters, by_name, parameter_count
-from ril.vectorized.replay import Batch, Replay, joined, random_indices
+from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
@@ -28,10 +28,8 @@ class ConsistentLearning:
         replay: each seed's memory of its own episodes.
         config: `method.q_learning`.
         seeds: S.
-        prior: memory of what was done before it learnt, of which half of each minibatch is drawn,
-            as in RLPD (Ball et al., 2023); None draws from its own episodes alone.
-        recent: how many of its own newest transitions half of its own draws are from; None draws
-            from all alike.
+        recent: how many of the newest transitions half of each minibatch is of; None draws from
+            all alike.
         fused: whether each step is one compiled graph; the same but for rounding.
 
     Attributes:
@@ -48,14 +46,12 @@ class ConsistentLearning:
         config: ConsistencyConfig,
         seeds: tuple[int, ...],
         *,
-        prior: Replay | None = None,
         recent: int | None = None,
         fused: bool = False,
     ) -> None:
         assert isinstance(network.architecture, Consistent)
         self.network = network
         self.replay = replay
-        self.prior = prior
         self.recent = recent
         self.config = config
         self.unit = torch.zeros(len(seeds), device=network.flat.device)
@@ -68,31 +64,18 @@ class ConsistentLearning:
         self.optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
         self._descend = descent(self.optimizer, self._loss, fused=fused)
 
-    def remember(
-        self,
-        episodes: Episodes,
-        keep: NDArray[np.bool_] | None = None,
-        memory: Replay | None = None,
-    ) -> None:
-        """Keep the transitions of S·N episodes, or of those that `keep` (S·N,) says.
+    def remember(self, episodes: Episodes) -> None:
+        """Keep the transitions of S·N episodes, as many of each seed, those of one side by side.
 
         Rewards are counted in units of their mean size in the first episodes of each seed.
-
-        Args:
-            episodes: as many of each seed, those of one side by side.
-            keep: which of them; None is all.
-            memory: where: in `prior`, or, if None, in `replay`. Each has its
-                own number of steps.
         """
-        steps = self.config.n_steps if memory is None else self.config.n_steps_pre
-        memory = memory or self.replay
         config, seeds = self.config, len(self.unit)
         if not self.unit.any():
             size = np.abs(episodes.rewards).reshape(seeds, -1).sum(axis=1, dtype=np.float64)
             mean = size / episodes.lengths.reshape(seeds, -1).sum(axis=1)
             self.unit.copy_(torch.from_numpy(np.where(mean > 0, mean, 1.0)))
         unit = self.unit.cpu().numpy().repeat(len(episodes.lengths) // seeds)
-        memory.append(n_step(episodes, steps, config.discount, unit), keep)
+        self.replay.append(n_step(episodes, config.n_steps, config.discount, unit))
 
     def train(
         self, updates: int, states: Tensor, labels: Tensor | None, weights: Tensor
@@ -110,16 +93,10 @@ class ConsistentLearning:
         """
         config, device = self.config, self.network.flat.device
         numbers = self._streams["replay batches"].uniform(updates, config.batch_size)
-        memories, slots = [], []
-        if self.prior is not None:
-            prior, numbers = np.split(numbers, [config.batch_size // 2], axis=-1)
-            memories.append(self.prior)
-            slots.append(random_indices(prior, self.prior.sizes).to(device))
-        memories.append(self.replay)
-        slots.append(self._own(numbers).to(device))
+        slots = self._slots(numbers).to(device)
         numbers = self._streams["cloning batches"].uniform(updates, config.batch_size)
         shown = random_indices(numbers, np.full(len(numbers), len(states))).to(device)
-        stored = [memory.everything() for memory in memories]
+        stored = self.replay.everything()
         totals = torch.zeros(2, len(self.unit), device=device)
         for update in range(updates):
             anchor: tuple[Tensor | None, ...] = (None, None, None)
@@ -127,15 +104,15 @@ class ConsistentLearning:
                 chosen = shown[:, update]
                 anchor = states[chosen], labels.gather(1, chosen), weights.gather(1, chosen)
             # A compiled graph refuses other strides than its first.
-            at = [drawn[:, update].contiguous() for drawn in slots]
+            at = slots[:, update].contiguous()
             _, *losses = self._descend(self.average.flat, stored, at, *anchor)
             totals += torch.stack([each.mean(dim=1) for each in losses])
             self.average.flat.lerp_(self.network.flat, config.tau)
         td_loss, cloning_loss = totals / max(updates, 1)
         return td_loss, cloning_loss
 
-    def _own(self, numbers: NDArray[np.float32]) -> Tensor:
-        """Slots of its own episodes for uniform numbers (S, updates, B): half of the newest."""
+    def _slots(self, numbers: NDArray[np.float32]) -> Tensor:
+        """Slots of the memory for uniform numbers (S, updates, B): half of the newest."""
         if self.recent is None:
             return random_indices(numbers, self.replay.sizes)
         whole, newest = np.split(numbers, [numbers.shape[-1] // 2], axis=-1)
@@ -146,8 +123,8 @@ class ConsistentLearning:
         self,
         parameters: Parameters,
         average: Tensor,
-        memories: list[Batch],
-        slots: list[Tensor],
+        memory: Batch,
+        slots: Tensor,
         states: Tensor | None,
         labels: Tensor | None,
         weights: Tensor | None,
@@ -157,17 +134,17 @@ class ConsistentLearning:
         Args:
             parameters: of value and policy, by name.
             average: (S, P) parameters whose values are the targets.
-            memories: (S, N, …) each, all transitions.
-            slots: of each memory those that are learnt from, (S, B) together.
+            memory: (S, N, …) all transitions.
+            slots: (S, B) those that are learnt from.
             states: (S, B, obs) of the expert; None leaves the second part out.
             labels: (S, B) their actions.
             weights: (S, B) of the second part.
         """
         architecture, config = self.network.architecture, self.config
         assert isinstance(architecture, Consistent)
-        batch = joined([memory.at(at) for memory, at in zip(memories, slots, strict=True)])
+        batch = memory.at(slots)
         values = architecture.forward(parameters, batch.observations)
-        errors = taken(values, batch.actions) - self._targets(average, batch, slots)
+        errors = taken(values, batch.actions) - self._targets(average, batch)
         td = td_losses(errors, config.loss)
         if states is None or labels is None or weights is None:
             return td, td, torch.zeros_like(td)
@@ -178,33 +155,23 @@ class ConsistentLearning:
         return td + weights * cloning, td, cloning
 
     @torch.no_grad()
-    def _targets(self, average: Tensor, batch: Batch, slots: list[Tensor]) -> Tensor:
+    def _targets(self, average: Tensor, batch: Batch) -> Tensor:
         """(S, B) what the values of the actions taken are drawn to.
 
         An action that is not the best one is not drawn further than `gap` below the best: how bad
         it is need not be known, and π could say it by improbable logits alone.
         """
-        architecture, discounts = self.network.architecture, self._discounts(slots)
+        architecture, config = self.network.architecture, self.config
+        discount = config.discount**config.n_steps
         values = partial(architecture.forward, by_name(architecture, average))
-        if self.config.gap is None:
-            return td_targets(batch, values(batch.next_observations), discounts)
+        if config.gap is None:
+            return td_targets(batch, values(batch.next_observations), discount)
         both = torch.cat((batch.observations, batch.next_observations), dim=1)
         here, following = values(both).chunk(2, dim=1)
-        targets = td_targets(batch, following, discounts)
+        targets = td_targets(batch, following, discount)
         best = here.amax(dim=-1)
         is_best = taken(here, batch.actions) >= best
-        return torch.where(is_best, targets, torch.maximum(targets, best - self.config.gap))
-
-    def _discounts(self, slots: list[Tensor]) -> Tensor:
-        """(B,) what the value after each transition counts: γ to the power of its steps."""
-        steps = [self.config.n_steps]
-        if self.prior is not None:
-            steps.insert(0, self.config.n_steps_pre)
-        powers = [
-            torch.full_like(at[0], self.config.discount**n, dtype=torch.float32)
-            for at, n in zip(slots, steps, strict=True)
-        ]
-        return torch.cat(powers)
+        return torch.where(is_best, targets, torch.maximum(targets, best - config.gap))
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimiser, replay, and random streams."""
@@ -214,7 +181,6 @@ class ConsistentLearning:
             "unit": self.unit,
             "optimizer": self.optimizer.state_dict(),
             "replay": self.replay.state_dict(),
-            "prior": None if self.prior is None else self.prior.state_dict(),
             "streams": {name: each.state_dict() for name, each in self._streams.items()},
         }
 
@@ -225,7 +191,5 @@ class ConsistentLearning:
         self.unit.copy_(state["unit"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.replay.load_state_dict(state["replay"])
-        if self.prior is not None:
-            self.prior.load_state_dict(state["prior"])
         for name, each in self._streams.items():
             each.load_state_dict(state["streams"][name])

@@ -83,16 +83,10 @@ class SelfSupervisedImitation:
             for purpose in ("pre", "labels", "exploration ratio", "goal sampler")
         }
 
-    def generate_pre(self) -> list[tuple[Episodes, NDArray[np.bool_]]]:
-        """Lines 4–5: fill I^pre with what the untrained policy does, sampled from its softmax.
-
-        Returns:
-            Episodes played, each S·N with (S·N,) which of them are in I^pre; none where it was
-            filled before the run was stopped.
-        """
-        played: list[tuple[Episodes, NDArray[np.bool_]]] = []
+    def generate_pre(self) -> None:
+        """Lines 4–5: fill I^pre with what the untrained policy does, sampled from its softmax."""
         if self.pre.sizes.any():
-            return played
+            return
         environments = Environments(self.task.environment, len(self.task.seeds) * _PRE_COPIES)
         steps, streams = self.task.environment.max_episode_steps, self._streams["pre"]
         while (unfilled := self.pre.sizes < self.pre.capacity).any():
@@ -103,12 +97,9 @@ class SelfSupervisedImitation:
                 return sampled.flatten().cpu().numpy()
 
             episodes = environments.play(act, streams.integers(2**31, _PRE_COPIES).ravel())
-            keep = np.repeat(unfilled, _PRE_COPIES)
-            self.pre.append(episodes, keep)
-            played.append((episodes, keep))
+            self.pre.append(episodes, keep=np.repeat(unfilled, _PRE_COPIES))
         if self.config.inverse_dynamics.standardise:
             self.inverse_dynamics.standardise(self.pre.everything())
-        return played
 
     def train(self, limit: float) -> tuple[Metrics, NDArray[np.int64]]:
         """Lines 14 (of the epoch before) and 7 to 9; as `infer_actions`, then `clone`."""

@@ -67,7 +67,7 @@ class RIL:
         """Algorithm 1, from line 4 on; yields after each epoch."""
         imitation = self.imitation
         if self.config.imitation:
-            self._begin_with(imitation.generate_pre())  # lines 4–5
+            imitation.generate_pre()  # lines 4–5
         while self.epoch < self.epochs and not imitation.stopping.stopped.all():  # line 6
             self.epoch += 1
             metrics: Metrics = {}
@@ -93,9 +93,6 @@ class RIL:
         if not self.config.goal_sampler.upper_limit:
             return 1.0
         return positive_limit(self.epoch - 1, self.task.ablation.n, self.task.ablation.k)
-
-    def _begin_with(self, pre: list[tuple[Episodes, NDArray[np.bool_]]]) -> None:
-        """Take note of the episodes of I^pre, which Q-learning here does not learn from."""
 
     def _clone(self, labels: Tensor) -> NDArray[np.float64]:
         """Line 9; returns (S,) the loss."""

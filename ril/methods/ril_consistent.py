@@ -20,7 +20,6 @@ from ril.schema import RILConsistentConfig
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Consistent, Network
-from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 
 
@@ -38,12 +37,11 @@ class ConsistentRIL(RIL):
         settings = config.q_learning
         size, actions = task.environment.observation_size, task.environment.action_count
         steps = task.environment.max_episode_steps
-        for key in ("n_steps", "n_steps_pre"):
-            if getattr(settings, key) > steps:  # nothing of an episode that is cut would be left
-                raise UserError(
-                    f"method.q_learning.{key}={getattr(settings, key)}: must be within 1..{steps}, "
-                    "the steps of an episode"
-                )
+        if settings.n_steps > steps:  # nothing of an episode that is cut would be left
+            raise UserError(
+                f"method.q_learning.n_steps={settings.n_steps}: must be within 1..{steps}, "
+                "the steps of an episode"
+            )
         architecture = Consistent(
             replace(
                 mlp(config.network, size, 1),
@@ -54,10 +52,6 @@ class ConsistentRIL(RIL):
             settings.temperature,
             settings.value_scale,
         )
-        prior = None
-        if settings.replay_pre and config.imitation and config.reinforcement:
-            pre_steps = config.goal_sampler.pre_steps_per_action * actions
-            prior = Replay(len(task.seeds), pre_steps, size, task.device)
         recent = None
         if settings.replay_recent is not None:
             recent = steps_of(settings.replay_recent, task)
@@ -66,7 +60,6 @@ class ConsistentRIL(RIL):
             empty_memory(settings.replay_trajectories, task),
             settings,
             task.seeds,
-            prior=prior,
             recent=recent,
             # One of its updates is worth five of Q-learning's, whose networks it evaluates once.
             fused=worth_compiling(
@@ -74,11 +67,6 @@ class ConsistentRIL(RIL):
             ),
         )
         return self.learning.policy
-
-    def _begin_with(self, pre: list[tuple[Episodes, NDArray[np.bool_]]]) -> None:
-        if self.learning.prior is not None:
-            for episodes, keep in pre:
-                self.learning.remember(episodes, keep, self.learning.prior)
 
     def _clone(self, labels: Tensor) -> NDArray[np.float64]:
         """Line 9, which is left to line 13 where there is one; returns (S,) the loss so far."""

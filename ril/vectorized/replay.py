@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,11 +39,6 @@ class Batch(NamedTuple):
     def at(self, indices: Tensor) -> Batch:
         """Those at indices (S, C) of each seed's B."""
         return Batch(*(at(field, indices) for field in self))
-
-
-def joined(batches: Sequence[Batch]) -> Batch:
-    """Several batches as one, side by side along B."""
-    return Batch(*(torch.cat(fields, dim=1) for fields in zip(*batches, strict=True)))
 
 
 class Replay:

@@ -73,7 +73,6 @@ def test_without_reinforcement_nothing_is_learnt_from_rewards(make: Make) -> Non
     before = copied(method.state_dict())["parts"]["learning"]
     trained(method)
     after = method.state_dict()["parts"]["learning"]
-    assert method.config.q_learning.replay_pre
     for name in ("network", "unit", "optimizer", "replay", "streams"):
         assert_equal_states(after[name], before[name], name)
 
@@ -132,12 +131,8 @@ def stored(replay: Replay, seed: int) -> list[Tensor]:
     return [each[seed, : replay.sizes[seed]] for each in replay.everything()]
 
 
-@pytest.mark.parametrize("replay_pre", [True, False])
-def test_random_transitions_are_learnt_from_where_that_is_asked_for(
-    make: Make, monkeypatch: pytest.MonkeyPatch, replay_pre: bool
-) -> None:
-    settings = f"method.q_learning.replay_pre={str(replay_pre).lower()}"
-    method, other = make(settings), make(settings)
+def test_it_remembers_its_own_episodes(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    method = make()
     own: list[Episodes] = []
     play = Explorer.play
 
@@ -150,25 +145,12 @@ def test_random_transitions_are_learnt_from_where_that_is_asked_for(
     assert len(own) == len(progress) == 3
 
     learning, config = method.learning, method.config.q_learning
-    memory = Replay(2, learning.replay.capacity, 4, CPU)
-    prior = Replay(2, method.imitation.pre.capacity, 4, CPU)
-    pre = other.imitation.generate_pre()
-    assert len(pre) > 0
-    unit = learning.unit.numpy()
-    for episodes, keep in pre:
-        transitions = n_step(episodes, config.n_steps_pre, config.discount, unit.repeat(10))
-        prior.append(transitions, keep)
+    expected = Replay(2, learning.replay.capacity, 4, CPU)
     for episodes in own:
-        memory.append(n_step(episodes, config.n_steps, config.discount, unit))
-    pairs = [(learning.replay, memory)]
-    assert (learning.prior is not None) == replay_pre
-    if learning.prior is not None:
-        assert (prior.sizes == prior.capacity).all()
-        pairs.append((learning.prior, prior))
-    for found, expected in pairs:
-        assert found.sizes.tolist() == expected.sizes.tolist()
-        for seed in range(2):
-            assert all(map(torch.equal, stored(found, seed), stored(expected, seed)))
+        expected.append(n_step(episodes, config.n_steps, config.discount, learning.unit.numpy()))
+    assert learning.replay.sizes.tolist() == expected.sizes.tolist()
+    for seed in range(2):
+        assert all(map(torch.equal, stored(learning.replay, seed), stored(expected, seed)))
 
 
 def test_rewards_are_in_units_of_those_of_the_first_episodes(make: Make) -> None:
@@ -326,7 +308,7 @@ def test_labels_without_weight_change_nothing(make: Make) -> None:
     "overrides",
     [
         (),
-        ("method.q_learning.replay_pre=false", "method.episodes=2"),
+        ("method.episodes=2",),
         ("method.imitation=false",),
         ("method.reinforcement=false",),
     ],
@@ -376,10 +358,9 @@ def test_as_many_steps_as_an_episode_has_are_taken(make: Make) -> None:
     trained(make("method.q_learning.n_steps=500"))
 
 
-@pytest.mark.parametrize("key", ["n_steps", "n_steps_pre"])
-def test_more_steps_than_an_episode_has_are_refused(make: Make, key: str) -> None:
-    with pytest.raises(UserError, match=rf"^method\.q_learning\.{key}=501: .*within 1\.\.500"):
-        make(f"method.q_learning.{key}=501")
+def test_more_steps_than_an_episode_has_are_refused(make: Make) -> None:
+    with pytest.raises(UserError, match=r"^method\.q_learning\.n_steps=501: .*within 1\.\.500"):
+        make("method.q_learning.n_steps=501")
 
 
 def test_the_policy_that_is_saved_has_the_papers_topology(
