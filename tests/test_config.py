@@ -151,11 +151,14 @@ def test_consistent_ril_is_set_as_ril_but_for_its_corrections(compose: Any, env:
         }
         for method in ("ril", "ril_consistent")
     )
-    own = {"name": "ril_consistent", "exploration.epsilon": 1}
+    own = {
+        "name": "ril_consistent",
+        "exploration.epsilon": 1,
+        "inverse_dynamics.learning_rate": 1e-3,
+        "inverse_dynamics.updates": 100,
+    }
     if env == "lunarlander":
         own["episodes"] = 2
-    if env == "acrobot":
-        own |= {"inverse_dynamics.learning_rate": 1e-3, "inverse_dynamics.updates": 100}
     assert found == ril | own
 
 
