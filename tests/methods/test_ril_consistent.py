@@ -51,7 +51,12 @@ def trained(method: RIL) -> list[Progress]:
 def test_without_reinforcement_it_imitates_as_ril_does(
     make: Make, quick: Any, make_task: MakeTask
 ) -> None:
-    settings = ("method.reinforcement=false", "method.epochs=8", "method.exploration.epsilon=1")
+    settings = (
+        "method.reinforcement=false",
+        "method.epochs=8",
+        "method.exploration.epsilon=1",
+        "method.inverse_dynamics.learning_rate=0.001",
+    )
     method, config = make(*settings), quick("method=ril", *settings)
     ril = RIL(config.method, make_task(config))
     assert method.policy.architecture == ril.policy.architecture
