@@ -94,6 +94,7 @@ class QLearningConfig(TargetNetworkConfig):
 class ConsistencyConfig(TemporalDifferenceConfig):
     """Both halves in one descent, of `ril_consistent`."""
 
+    anneal: bool = MISSING
     n_steps: int = MISSING
     tau: float = MISSING
     value_hidden: list[int] = MISSING
@@ -101,9 +102,8 @@ class ConsistencyConfig(TemporalDifferenceConfig):
     temperature: float = MISSING
     gap: float | None = MISSING
     imitation_weight: float = MISSING
-    fade: bool = MISSING
     min_confidence: float = MISSING
-    anneal: bool = MISSING
+    fade: bool = MISSING
     replay_trajectories: float = MISSING
     replay_recent: float | None = MISSING
 

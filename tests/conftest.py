@@ -111,6 +111,7 @@ QUICK_METHODS = {
         "method.q_learning.updates=4",
         "method.q_learning.batch_size=16",
         "method.q_learning.value_hidden=[6]",
+        "method.q_learning.min_confidence=0.6",  # of what M_θ learns in so short a run: some labels
     ),
     "ril_sequential": (*QUICK_IMITATION, *QUICK_Q_LEARNING),
 }

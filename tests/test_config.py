@@ -459,6 +459,7 @@ def test_a_value_of_dqn_at_its_bounds_is_taken(key: str, value: Any) -> None:
         ("tau", float("nan"), "within 1e-06..1"),
         ("imitation_weight", -0.1, "0 or more"),
         ("min_confidence", 1.1, "within 0..1"),
+        ("min_confidence", -0.1, "within 0..1"),
         ("temperature", 0, "above 0"),
         ("gap", 0, "above 0"),
         ("replay_recent", 0, "above 0"),

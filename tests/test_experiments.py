@@ -81,7 +81,7 @@ def test_each_component_is_left_out_in_a_run_of_its_own(env: str) -> None:
     configs = [from_hydra(composed(f"env={env}", "experiment=components", *cell)) for cell in found]
     whole = from_hydra(composed(f"env={env}", "method=ril_consistent"))
     assert sum(config == whole for config in configs) == 1
-    assert len({run_id(config, "") for config in configs}) == len(found) == 15
+    assert len({run_id(config, "") for config in configs}) == len(found) == 16
 
 
 USUAL = {"method": "ril", "trajectories": "1", "k": "2", "n": "150", "expert_return": "null"}

@@ -35,7 +35,6 @@ class ConsistentLearning:
     Attributes:
         average: of the networks over the last updates, whose values are the targets.
         policy: the average's π alone, as logits; it is what acts.
-        optimizer: of the networks.
         unit: (S,) by which rewards are divided; 0 until the first episodes.
     """
 
@@ -61,8 +60,8 @@ class ConsistentLearning:
         self._streams = {
             purpose: Streams(seeds, purpose) for purpose in ("replay batches", "cloning batches")
         }
-        self.optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
-        self._descend = descent(self.optimizer, self._loss, fused=fused)
+        self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
+        self._descend = descent(self._optimizer, self._loss, fused=fused)
 
     def remember(self, episodes: Episodes) -> None:
         """Keep the transitions of S·N episodes, as many of each seed, those of one side by side.
@@ -78,7 +77,12 @@ class ConsistentLearning:
         self.replay.append(n_step(episodes, config.n_steps, config.discount, unit))
 
     def train(
-        self, updates: int, states: Tensor, labels: Tensor | None, weights: Tensor
+        self,
+        updates: int,
+        states: Tensor,
+        labels: Tensor | None,
+        weights: Tensor | None,
+        learning_rate: float,
     ) -> tuple[Tensor, Tensor]:
         """Minibatch steps of the temporal-difference loss and, beside it, of cross-entropy.
 
@@ -86,11 +90,14 @@ class ConsistentLearning:
             updates: how many steps.
             states: (M, obs) of the expert, the same for all seeds.
             labels: (S, M) the actions given for them; None learns from the transitions alone.
-            weights: (S, M) of their cross-entropy.
+            weights: (S, M) of their cross-entropy; None where there are no labels.
+            learning_rate: of these steps.
 
         Returns:
-            (S,) mean temporal-difference loss over the steps, and mean cross-entropy.
+            (S,) mean temporal-difference loss over the steps, and mean cross-entropy, of labels
+            without weight, too.
         """
+        self._optimizer.learning_rate = learning_rate
         config, device = self.config, self.network.flat.device
         numbers = self._streams["replay batches"].uniform(updates, config.batch_size)
         slots = self._slots(numbers).to(device)
@@ -100,7 +107,7 @@ class ConsistentLearning:
         totals = torch.zeros(2, len(self.unit), device=device)
         for update in range(updates):
             anchor: tuple[Tensor | None, ...] = (None, None, None)
-            if labels is not None:
+            if labels is not None and weights is not None:
                 chosen = shown[:, update]
                 anchor = states[chosen], labels.gather(1, chosen), weights.gather(1, chosen)
             # A compiled graph refuses other strides than its first.
@@ -179,7 +186,7 @@ class ConsistentLearning:
             "network": self.network.flat,
             "average": self.average.flat,
             "unit": self.unit,
-            "optimizer": self.optimizer.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
             "replay": self.replay.state_dict(),
             "streams": {name: each.state_dict() for name, each in self._streams.items()},
         }
@@ -189,7 +196,7 @@ class ConsistentLearning:
         self.network.flat.copy_(state["network"])
         self.average.flat.copy_(state["average"])
         self.unit.copy_(state["unit"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        self._optimizer.load_state_dict(state["optimizer"])
         self.replay.load_state_dict(state["replay"])
         for name, each in self._streams.items():
             each.load_state_dict(state["streams"][name])

@@ -43,7 +43,8 @@ class SelfSupervisedImitation:
         policy: π_φ, which is cloned and has labels from what it does.
 
     Attributes:
-        confidence: (S, M) probability of each of the newest pseudo-labels by M_θ.
+        confidence: (S, M) probability of each of the newest pseudo-labels by M_θ; 0 before the
+            first, and not saved, as each epoch makes it anew.
     """
 
     def __init__(self, config: IUPEConfig, task: Task, policy: Network) -> None:

@@ -15,14 +15,14 @@ from ril.vectorized.rollout import Episodes
 
 
 def td_targets(
-    batch: Batch, next_values: Tensor, discount: float | Tensor, choosing: Tensor | None = None
+    batch: Batch, next_values: Tensor, discount: float, choosing: Tensor | None = None
 ) -> Tensor:
     """R_{t+1} + γ max_a Q(S_{t+1}, a), without the second term at terminal states (eq. 1).
 
     Args:
         batch: B transitions per seed.
         next_values: (S, B, |A|) Q(S_{t+1}, ·).
-        discount: γ, or one for each of the B transitions.
+        discount: γ, or γ^n after n steps.
         choosing: (S, B, |A|) values whose largest says which action's `next_values` count, as
             double Q-learning has it (van Hasselt et al., 2016); `next_values` themselves if None.
 

@@ -79,17 +79,18 @@ class ConsistentRIL(RIL):
 
     def _correct(self, episodes: Episodes, labels: Tensor | None) -> Metrics:
         """Lines 9 and 13, after one episode of each seed."""
-        settings = self.learning.config
+        settings, ablation = self.learning.config, self.task.ablation
         self.learning.remember(episodes)
-        ablation, weight = self.task.ablation, settings.imitation_weight
+        rate, weight = settings.learning_rate, settings.imitation_weight
+        if settings.anneal:
+            rate *= 1 - (self.epoch - 1) / self.epochs
         if settings.fade:
             weight *= 1 - positive_limit(self.epoch - 1, ablation.n, ablation.k)
-        if settings.anneal:
-            left = 1 - (self.epoch - 1) / self.epochs
-            self.learning.optimizer.learning_rate = settings.learning_rate * left
-        sure = self.imitation.confidence >= settings.min_confidence
+        weights = None
+        if labels is not None:
+            weights = weight * (self.imitation.confidence >= settings.min_confidence)
         td_loss, cloning_loss = self.learning.train(
-            settings.updates, self.imitation.expert_states, labels, weight * sure
+            settings.updates, self.imitation.expert_states, labels, weights, rate
         )
         metrics = {"td_loss": td_loss.double().cpu().numpy()}
         if labels is not None:

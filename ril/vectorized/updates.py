@@ -16,7 +16,7 @@ class ClippedAdam:
 
     Args:
         network: whose parameters it changes, in place.
-        learning_rate: α of §4.1; may be changed between steps.
+        learning_rate: α of §4.1; may be changed between steps, and is not part of the state.
         gradient_clip: every entry of the gradient is cut to [−clip, clip]; None cuts nothing.
         beta1: how slowly the mean of the gradients moves.
     """

@@ -165,9 +165,16 @@ def test_training_is_that_of_one_agent_per_seed(
         updates: torch.from_numpy(numbers.random(labels.shape, dtype=np.float32))
         for updates in (6, 9)
     }
+    rates = {6: RATE, 9: RATE / 2}
     found = [
-        learning.train(updates, states, labels if labelled else None, each)
-        for updates, each in weights.items()
+        learning.train(
+            updates,
+            states,
+            labels if labelled else None,
+            weights[updates] if labelled else None,
+            rates[updates],
+        )
+        for updates in weights
     ]
 
     batches, cloning = (Streams(SEEDS, f"{what} batches") for what in ("replay", "cloning"))
@@ -176,6 +183,8 @@ def test_training_is_that_of_one_agent_per_seed(
     for (updates, each), (td_losses, cloning_losses) in zip(weights.items(), found, strict=True):
         slots = drawn(learning, batches.uniform(updates, BATCH))
         shown = random_indices(cloning.uniform(updates, BATCH), np.full(2, len(states)))
+        for optimizer in optimizers:
+            optimizer.optimizer.param_groups[0]["lr"] = rates[updates]
         totals = torch.zeros(2, len(SEEDS))
         for update in range(updates):
             for seed, (agent, average) in enumerate(zip(agents, averages, strict=True)):
@@ -235,7 +244,7 @@ def test_half_of_each_minibatch_is_of_its_newest_steps() -> None:
     learning.replay.rewards[torch.arange(2), learning.replay.newest(np.zeros((2, 1)), 1)[:, 0]] = 9
     level(learning.network, 0.0)
     value = TEMPERATURE * np.log(1 / ACTIONS)
-    td_losses, _ = learning.train(1, expert()[0], None, weighing(0.0))
+    td_losses, _ = learning.train(1, expert()[0], None, None, RATE)
     nine, one = (9 - value) ** 2, (1 - value) ** 2
     # Of the other half, one or two may be the newest, too.
     possible = ((nine + one) / 2 + (nine - one) * np.array([0, 1, 2]) / BATCH).tolist()
@@ -251,7 +260,7 @@ def test_the_next_value_counts_by_the_number_of_steps() -> None:
     level(learning.network, 1.0)
     level(learning.average, 1.0)
     value = 1 + TEMPERATURE * np.log(1 / ACTIONS)
-    td_losses, _ = learning.train(1, expert()[0], None, weighing(0.0))
+    td_losses, _ = learning.train(1, expert()[0], None, None, RATE)
     error = value * (1 - DISCOUNT**STEPS)
     assert td_losses.tolist() == pytest.approx([error**2] * 2, rel=1e-4)
 
@@ -261,7 +270,7 @@ def test_a_seeds_training_does_not_depend_on_other_seeds() -> None:
     for seeds in ((5,), (3, 5, 9)):
         learning = learner(seeds)
         states, labels = expert(seeds)
-        learning.train(10, states, labels, weighing(1.0, labels))
+        learning.train(10, states, labels, weighing(1.0, labels), RATE)
         flats.append((learning.network.flat, learning.policy.flat))
     for of_alone, of_several in zip(*flats, strict=True):
         assert torch.equal(of_several[1], of_alone[0])
@@ -272,7 +281,7 @@ def test_no_updates_change_no_parameter(labelled: bool) -> None:
     learning = learner()
     states, labels = expert()
     before = copied(learning.state_dict())
-    losses = learning.train(0, states, labels if labelled else None, weighing(1.0))
+    losses = learning.train(0, states, labels if labelled else None, weighing(1.0), RATE)
     assert [loss.tolist() for loss in losses] == [[0.0, 0.0], [0.0, 0.0]]
     assert_equal_states(learning.state_dict(), before)
 
@@ -282,7 +291,7 @@ def test_without_weight_labels_leave_the_training_as_without_them() -> None:
     states, labels = expert()
     td_losses = []
     for learning, given in ((with_labels, labels), (without, None)):
-        td_loss, cloning_loss = learning.train(12, states, given, weighing(0.0))
+        td_loss, cloning_loss = learning.train(12, states, given, weighing(0.0), RATE)
         td_losses.append(td_loss)
         assert cloning_loss.any() == (given is not None)
     assert torch.equal(*td_losses)
@@ -294,7 +303,7 @@ def test_weight_makes_a_difference() -> None:
     flats = []
     for weight in (0.0, 0.5, 1.0):
         learning = learner()
-        learning.train(3, *expert(), weighing(weight))
+        learning.train(3, *expert(), weighing(weight), RATE)
         flats.append(learning.network.flat)
     assert not torch.equal(flats[0], flats[1])
     assert not torch.equal(flats[1], flats[2])
@@ -308,7 +317,7 @@ def test_a_label_without_weight_is_not_imitated() -> None:
     flats = []
     for given in (labels, torch.where(weights > 0, labels, (labels + 1) % ACTIONS)):
         learning = learner()
-        learning.train(6, states, given, weights)
+        learning.train(6, states, given, weights, RATE)
         flats.append(learning.network.flat)
     assert torch.equal(*flats)
 
@@ -319,7 +328,7 @@ def test_labels_are_imitated() -> None:
     agreement = []
     for weight in (0.0, 10.0):
         learning = learner(tau=0.05, gradient_clip=None)
-        learning.train(400, states, labels, weighing(weight))
+        learning.train(400, states, labels, weighing(weight), RATE)
         greedy = learning.policy(states.expand(2, -1, -1)).argmax(dim=-1)
         agreement.append((greedy == labels).float().mean().item())
     assert agreement[0] < 0.7 < 0.9 < agreement[1]
@@ -373,7 +382,7 @@ def test_later_episodes_do_not_change_the_unit() -> None:
     first, later = episodes(scale=7.0), episodes(begin=1, scale=0.01)
     learning.remember(first)
     before, stored = learning.unit.clone(), learning.replay.sizes.copy()
-    learning.train(3, *expert(), weighing(1.0))
+    learning.train(3, *expert(), weighing(1.0), RATE)
     learning.remember(later)
     assert torch.equal(learning.unit, before)
     for seed in range(len(SEEDS)):
@@ -411,7 +420,7 @@ def test_the_policy_begins_as_the_networks_own() -> None:
 def test_the_policy_is_that_of_the_average_and_moves_with_it() -> None:
     learning = learner()
     before = logits_of(learning)
-    learning.train(10, *expert(), weighing(1.0))
+    learning.train(10, *expert(), weighing(1.0), RATE)
     average = learning.state_dict()["average"]
     torch.testing.assert_close(logits_of(learning), policy_stream_of(average))
     assert not torch.allclose(logits_of(learning), before)
@@ -428,14 +437,14 @@ def test_the_policy_lies_in_the_averages_memory() -> None:
 
 def test_where_the_average_moves_all_the_way_the_policy_is_the_networks_own() -> None:
     learning = learner(tau=1.0)
-    learning.train(5, *expert(), weighing(1.0))
+    learning.train(5, *expert(), weighing(1.0), RATE)
     torch.testing.assert_close(learning.policy.flat, learning.network.flat[:, OF_VALUE:])
 
 
 def test_a_saved_state_goes_on_alike() -> None:
     learning = learner()
     states, labels = expert()
-    learning.train(6, states, labels, weighing(1.0))
+    learning.train(6, states, labels, weighing(1.0), RATE)
     resumed = learner(filled=False)
     resumed.load_state_dict(copied(learning.state_dict()))
     assert_equal_states(copied(resumed.state_dict()), copied(learning.state_dict()))
@@ -443,7 +452,7 @@ def test_a_saved_state_goes_on_alike() -> None:
     losses = []
     for each in (learning, resumed):
         each.remember(episodes(begin=1, scale=3.0))  # in the first ones' unit
-        losses.append(each.train(5, states, labels, weighing(0.5)))
+        losses.append(each.train(5, states, labels, weighing(0.5), RATE))
     assert all(map(torch.equal, *losses))
     assert torch.equal(resumed.policy.flat, learning.policy.flat)
     assert_equal_states(copied(resumed.state_dict()), copied(learning.state_dict()))
@@ -462,14 +471,13 @@ def trained(seeds: tuple[int, ...], labelled: bool, *, fused: bool) -> list[Tens
         recent=10,
         fused=fused,
         batch_size=64,
-        learning_rate=1e-3,
         gap=0.3,
     )
     states, labels = expert(seeds)
     given = labels if labelled else None
     losses = [
-        torch.stack(learning.train(updates, states, given, weighing(weight, labels)))
-        for updates, weight in ((12, 0.7), (8, 0.2))
+        torch.stack(learning.train(updates, states, given, weighing(weight, labels), rate))
+        for updates, weight, rate in ((12, 0.7, 1e-3), (8, 0.2, 3e-4))
     ]
     return [learning.network.flat, learning.state_dict()["average"], *losses]
 

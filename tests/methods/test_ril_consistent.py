@@ -98,9 +98,9 @@ def rewards_alone(method: ConsistentRIL, epochs: int, epsilon: float) -> Network
     explorer = Explorer(config.exploration, task, learning.policy)
     nothing = torch.zeros(1, size)
     for epoch in range(epochs):
-        learning.optimizer.learning_rate = settings.learning_rate * (1 - epoch / epochs)
+        rate = settings.learning_rate * (1 - epoch / epochs)
         learning.remember(explorer.play(np.full(len(task.seeds), epsilon)))
-        learning.train(settings.updates, nothing, None, torch.zeros(len(task.seeds), 1))
+        learning.train(settings.updates, nothing, None, None, rate)
     return learning.policy
 
 
@@ -172,12 +172,16 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     train = ConsistentLearning.train
 
     def called(
-        self: ConsistentLearning, updates: int, states: Tensor, labels: Any, weights: Tensor
+        self: ConsistentLearning,
+        updates: int,
+        states: Tensor,
+        labels: Tensor | None,
+        weights: Tensor | None,
+        learning_rate: float,
     ) -> tuple[Tensor, Tensor]:
-        losses = train(self, updates, states, labels, weights)
-        rate = self.optimizer.learning_rate
+        losses = train(self, updates, states, labels, weights, learning_rate)
         given = {"updates": updates, "states": states, "labels": labels, "weights": weights}
-        recorded.append(given | {"rate": rate, "losses": losses})
+        recorded.append(given | {"rate": learning_rate, "losses": losses})
         return losses
 
     monkeypatch.setattr(ConsistentLearning, "train", called)
@@ -231,10 +235,15 @@ def test_the_weight_of_imitation_stays_where_it_is_not_to_fade(
     assert weights_of(calls) == [2] * 6
 
 
+@pytest.mark.parametrize(("kind", "least"), [("argmax", 0.6), ("sample", 0.5)])
 def test_labels_that_inverse_dynamics_is_unsure_of_have_no_weight(
-    make: Make, calls: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+    make: Make,
+    calls: list[dict[str, Any]],
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    least: float,
 ) -> None:
-    least, confidence = 0.6, []
+    confidence = []
     infer = SelfSupervisedImitation.infer_actions
 
     def inferred(self: SelfSupervisedImitation, limit: float) -> Any:
@@ -242,13 +251,13 @@ def test_labels_that_inverse_dynamics_is_unsure_of_have_no_weight(
         states = (x.expand(2, -1, -1) for x in (self.expert_states, self.expert_next))
         with torch.no_grad():
             chances = self.inverse_dynamics(*states).softmax(dim=-1)
-        assert torch.equal(chances.argmax(dim=-1), answer[1])
-        confidence.append(chances.amax(dim=-1))
+        confidence.append(chances.gather(-1, answer[1][..., None])[..., 0])
         return answer
 
     monkeypatch.setattr(SelfSupervisedImitation, "infer_actions", inferred)
+    labels = f"method.inverse_dynamics.labels={kind}"
     unsure = f"method.q_learning.min_confidence={least}"
-    trained(make("method.q_learning.fade=false", WEIGHT_OF_2, unsure))
+    trained(make("method.q_learning.fade=false", WEIGHT_OF_2, labels, unsure))
     sure = torch.stack(confidence) >= least
     assert 0 < sure.float().mean() < 1
     weights = torch.stack([call["weights"] for call in calls])
@@ -296,17 +305,19 @@ def test_losses_are_means_over_the_episodes_of_an_epoch(
             assert (each.metrics[name] > 0).all()
 
 
-def test_labels_without_weight_change_nothing(make: Make) -> None:
+@pytest.mark.parametrize("weight", [0, 2])
+def test_labels_change_the_policy_by_their_weight_alone(make: Make, weight: float) -> None:
     policies = []
     for labels in ("argmax", "sample"):
         method = make(
-            "method.q_learning.imitation_weight=0",
+            f"method.q_learning.imitation_weight={weight}",
+            ALL_LABELS,
             "method.exploration.epsilon=0.3",
             f"method.inverse_dynamics.labels={labels}",
         )
         trained(method)
         policies.append(method.policy.flat)
-    assert torch.equal(*policies)
+    assert torch.equal(*policies) == (weight == 0)
 
 
 @pytest.mark.parametrize(
