@@ -88,7 +88,8 @@ class SweepProgress:
     def _watch(self, over: threading.Event) -> None:
         known = ~np.isnan(self._seconds)
         usual = self._seconds[known].mean() if known.any() else 1.0
-        weights, before = np.where(known, self._seconds, usual), 0
+        # Never 0, as the time of a cell that ended at once may be.
+        weights, before = np.maximum(np.where(known, self._seconds, usual), 0.01), 0
         while not over.wait(_WATCH_SECONDS):
             done = np.array([cell.is_done for cell in self.pending])
             if before < done.sum() < len(done):
