@@ -15,6 +15,7 @@ import fcntl
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -109,32 +110,35 @@ def run(method: str, env: str) -> None:
     """Run the choices that have no row yet."""
     path = SEARCH / f"{method}.csv"
     path.parent.mkdir(exist_ok=True)
+    for changed in CHOICES[method]:
+        if path.exists() and {"changed": changed, "env": env} in records(path):
+            continue
+        overrides = () if changed == AS_IT_COMES else changed.split()
+        row = {"changed": changed, "env": env} | outcome(env, f"method={method}", *overrides)
+        append(path, COLUMNS, row)
+
+
+def outcome(env: str, *overrides: str, seeds: str = SEEDS) -> dict[str, Any]:
+    """Run a cell on tuning seeds and the tuning trajectory; means over seeds."""
     display = ConsoleDisplay(Console(), live=False, alone=False)
     with tempfile.TemporaryDirectory() as folder:
         demonstrations = tuning_demonstrations(env, Path(folder))
-        asked = (f"env={env}", f"method={method}", f"seeds={SEEDS}", f"output_dir={folder}")
-        for changed in CHOICES[method]:
-            if path.exists() and {"changed": changed, "env": env} in records(path):
-                continue
-            overrides = () if changed == AS_IT_COMES else changed.split()
-            config = composed(*asked, f"demonstrations={demonstrations}", *overrides)
-            started = time.process_time()
-            rows = pd.read_csv(run_cell(config, display) / "results.csv")
-            row = {
-                "changed": changed,
-                "env": env,
-                "seeds": len(rows),
-                "performance": rows["performance"].mean(),
-                "aer": rows["aer"].mean(),
-                "aer_std": rows["aer"].std(ddof=0),
-                "worst": rows["aer"].min(),
-                "aer_last": rows["aer_last"].mean(),
-                "aer_last_std": rows["aer_last"].std(ddof=0),
-                "samples_to_best": rows["samples_to_best"].mean(),
-                "processor_seconds": time.process_time() - started,
-                "commit": rows["commit"].iloc[0],
-            }
-            append(path, row)
+        asked = (f"env={env}", f"seeds={seeds}", f"output_dir={folder}")
+        config = composed(*asked, f"demonstrations={demonstrations}", *overrides)
+        started = time.process_time()
+        rows = pd.read_csv(run_cell(config, display) / "results.csv")
+    return {
+        "seeds": len(rows),
+        "performance": rows["performance"].mean(),
+        "aer": rows["aer"].mean(),
+        "aer_std": rows["aer"].std(ddof=0),
+        "worst": rows["aer"].min(),
+        "aer_last": rows["aer_last"].mean(),
+        "aer_last_std": rows["aer_last"].std(ddof=0),
+        "samples_to_best": rows["samples_to_best"].mean(),
+        "processor_seconds": time.process_time() - started,
+        "commit": rows["commit"].iloc[0],
+    }
 
 
 def records(path: Path) -> list[dict[str, str]]:
@@ -142,11 +146,11 @@ def records(path: Path) -> list[dict[str, str]]:
     return pd.read_csv(path)[["changed", "env"]].to_dict("records")
 
 
-def append(path: Path, row: dict[str, Any]) -> None:
+def append(path: Path, columns: Sequence[str], row: dict[str, Any]) -> None:
     """Add a row, whole, whoever else adds one at the same time."""
     with path.open("a", newline="") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        writer = csv.DictWriter(file, COLUMNS)
+        writer = csv.DictWriter(file, columns)
         if file.tell() == 0:
             writer.writeheader()
         rounded = {k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}
