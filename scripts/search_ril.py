@@ -1,6 +1,7 @@
-"""Which of RIL's open choices matter? One changed at a time, on seeds that no report uses.
+"""Which of RIL's open choices matter? One changed at a time, or several; on tuning seeds.
 
     python scripts/search_ril.py run ril mountaincar     # a row for each that has none yet
+    python scripts/search_ril.py try ril cartpole evaluation.every=1 method.episodes=2
     python scripts/search_ril.py show                    # the tables of docs/search/README.md
 
 Every choice is run with seeds 100 to 104, from a trajectory of the expert other than the one that
@@ -106,24 +107,23 @@ def tuning_demonstrations(env: str, folder: Path) -> Path:
     return path
 
 
-def run(method: str, env: str) -> None:
-    """Run the choices that have no row yet."""
+def run(method: str, env: str, changed: str) -> None:
+    """Run a method with some of its choices changed, unless that has a row."""
     path = SEARCH / f"{method}.csv"
     path.parent.mkdir(exist_ok=True)
-    for changed in CHOICES[method]:
-        if path.exists() and {"changed": changed, "env": env} in records(path):
-            continue
-        overrides = () if changed == AS_IT_COMES else changed.split()
-        row = {"changed": changed, "env": env} | outcome(env, f"method={method}", *overrides)
-        append(path, COLUMNS, row)
+    if path.exists() and {"changed": changed, "env": env} in records(path):
+        return
+    overrides = () if changed == AS_IT_COMES else changed.split()
+    row = {"changed": changed, "env": env} | outcome(env, f"method={method}", *overrides)
+    append(path, COLUMNS, row)
 
 
-def outcome(env: str, *overrides: str, seeds: str = SEEDS) -> dict[str, Any]:
+def outcome(env: str, *overrides: str) -> dict[str, Any]:
     """Run a cell on tuning seeds and the tuning trajectory; means over seeds."""
     display = ConsoleDisplay(Console(), live=False, alone=False)
     with tempfile.TemporaryDirectory() as folder:
         demonstrations = tuning_demonstrations(env, Path(folder))
-        asked = (f"env={env}", f"seeds={seeds}", f"output_dir={folder}")
+        asked = (f"env={env}", f"seeds={SEEDS}", f"output_dir={folder}")
         config = composed(*asked, f"demonstrations={demonstrations}", *overrides)
         started = time.process_time()
         rows = pd.read_csv(run_cell(config, display) / "results.csv")
@@ -158,7 +158,7 @@ def append(path: Path, columns: Sequence[str], row: dict[str, Any]) -> None:
 
 
 def show() -> None:
-    """Print a table per method: what each change does to the returns of each environment."""
+    """Print a table per method: what each change alone does to the returns of each environment."""
     for method, choices in CHOICES.items():
         path = SEARCH / f"{method}.csv"
         if not path.exists():
@@ -181,7 +181,10 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["run", method, *environments] if method in CHOICES:
             for each in environments or ENVIRONMENTS:
-                run(method, each)
+                for changed in CHOICES[method]:
+                    run(method, each, changed)
+        case ["try", method, env, *overrides] if method in CHOICES and env in ENVIRONMENTS:
+            run(method, env, " ".join(overrides) or AS_IT_COMES)
         case ["show"]:
             show()
         case _:
