@@ -1,7 +1,7 @@
 """RIL's open choices all at once: random draws, on seeds that no report uses.
 
     python scripts/draw_ril.py run 0 20 mountaincar acrobot   # draws 0 to 19 that have no row yet
-    python scripts/draw_ril.py show                           # the tables of docs/search/README.md
+    python scripts/draw_ril.py show                           # what each choice is worth
 
 A draw is a setting of what the paper leaves open and may matter, the same on every environment;
 not on LunarLander, where one takes a quarter of an hour. Seeds and trajectory are those of
@@ -63,13 +63,16 @@ def run(draw: int, env: str) -> None:
 
 
 def show() -> None:
-    """Print what each choice is worth on average, and the best draws."""
+    """Print the mean P of the draws with each choice ± its standard error, and the best draws."""
     rows = pd.read_csv(DRAWS)
     print(f"| | {' | '.join(ENVIRONMENTS)} |\n|---|{'---|' * len(ENVIRONMENTS)}")
     for key, values in SPACE.items():
         for value in values:
             chosen = rows[rows[key] == value].groupby("env")["performance"]
-            cells = [f"{chosen.mean()[e]:.3f} ± {chosen.sem()[e]:.3f}" for e in ENVIRONMENTS]
+            mean, error = chosen.mean(), chosen.sem()
+            cells = [
+                f"{mean.get(e, np.nan):.3f} ± {error.get(e, np.nan):.3f}" for e in ENVIRONMENTS
+            ]
             print(f"| `{key}={value}` | {' | '.join(cells)} |")
     table = rows.pivot(index="draw", columns="env", values="performance").dropna()
     print("\n", table.assign(mean=table.mean(axis=1)).sort_values("mean", ascending=False))

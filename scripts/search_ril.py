@@ -169,7 +169,7 @@ def show() -> None:
         ]
         table = tried.pivot(index="changed", columns="env", values="cell")
         order = [name for name in choices if name in table.index]
-        table = table.reindex(index=order, columns=[e for e in ENVIRONMENTS if e in table])
+        table = table.reindex(index=order, columns=ENVIRONMENTS).dropna(axis="columns", how="all")
         print(f"\n### `method={method}`\n")
         print(f"| changed | {' | '.join(table.columns)} |\n|---|{'---|' * len(table.columns)}")
         for changed, cells in table.fillna("–").iterrows():
