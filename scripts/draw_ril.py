@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from search_ril import SEARCH, append, outcome
+from search_ril import SEARCH, append, outcome, recorded
 
 DRAWS = SEARCH / "draws.csv"
 
@@ -32,11 +32,6 @@ SPACE: dict[str, tuple[Any, ...]] = {
     "method.exploration.kind": ("softmax", "uniform"),
 }
 BLOCK = 6  # a multiple of how many values each has
-RESULTS = (
-    *("performance", "aer", "aer_std", "worst", "aer_last", "aer_last_std"),
-    *("samples_to_best", "seeds", "processor_seconds", "commit"),
-)
-COLUMNS = ("draw", "env", *SPACE, *RESULTS)
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar")
 
 
@@ -52,14 +47,12 @@ def drawn(draw: int) -> dict[str, Any]:
 
 def run(draw: int, env: str) -> None:
     """Run a draw, unless it has a row."""
-    if DRAWS.exists():
-        done = pd.read_csv(DRAWS)
-        if ((done["draw"] == draw) & (done["env"] == env)).any():
-            return
+    if recorded(DRAWS, {"draw": draw, "env": env}):
+        return
     settings = drawn(draw)
     overrides = [f"{key}={value}" for key, value in settings.items()]
     measured = outcome(env, "method=ril", "evaluation.every=1", *overrides)
-    append(DRAWS, COLUMNS, {"draw": draw, "env": env} | settings | measured)
+    append(DRAWS, {"draw": draw, "env": env} | settings | measured)
 
 
 def show() -> None:

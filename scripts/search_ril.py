@@ -16,7 +16,6 @@ import fcntl
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +32,6 @@ from ril.experiment import run as run_cell
 SEARCH = Path(__file__).resolve().parents[1] / "docs" / "search"
 SEEDS = "[100,101,102,103,104]"
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar", "lunarlander")
-COLUMNS = (
-    *("changed", "env", "seeds", "performance", "aer", "aer_std", "worst", "aer_last"),
-    *("aer_last_std", "samples_to_best", "processor_seconds", "commit"),
-)
 AS_IT_COMES = "as it comes"
 
 #: What is changed, one setting at a time, as overrides of `ril-run`; by method.
@@ -111,11 +106,10 @@ def run(method: str, env: str, changed: str) -> None:
     """Run a method with some of its choices changed, unless that has a row."""
     path = SEARCH / f"{method}.csv"
     path.parent.mkdir(exist_ok=True)
-    if path.exists() and {"changed": changed, "env": env} in records(path):
-        return
-    overrides = () if changed == AS_IT_COMES else changed.split()
-    row = {"changed": changed, "env": env} | outcome(env, f"method={method}", *overrides)
-    append(path, COLUMNS, row)
+    setting = {"changed": changed, "env": env}
+    if not recorded(path, setting):
+        overrides = () if changed == AS_IT_COMES else changed.split()
+        append(path, setting | outcome(env, f"method={method}", *overrides))
 
 
 def outcome(env: str, *overrides: str) -> dict[str, Any]:
@@ -141,16 +135,16 @@ def outcome(env: str, *overrides: str) -> dict[str, Any]:
     }
 
 
-def records(path: Path) -> list[dict[str, str]]:
-    """What has been tried."""
-    return pd.read_csv(path)[["changed", "env"]].to_dict("records")
+def recorded(path: Path, setting: dict[str, Any]) -> bool:
+    """Whether a file has a row of these values."""
+    return path.exists() and setting in pd.read_csv(path)[list(setting)].to_dict("records")
 
 
-def append(path: Path, columns: Sequence[str], row: dict[str, Any]) -> None:
+def append(path: Path, row: dict[str, Any]) -> None:
     """Add a row, whole, whoever else adds one at the same time."""
     with path.open("a", newline="") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        writer = csv.DictWriter(file, columns)
+        writer = csv.DictWriter(file, row)
         if file.tell() == 0:
             writer.writeheader()
         rounded = {k: round(v, 3) if isinstance(v, float) else v for k, v in row.items()}
@@ -184,7 +178,7 @@ if __name__ == "__main__":
                 for changed in CHOICES[method]:
                     run(method, each, changed)
         case ["try", method, env, *overrides] if method in CHOICES and env in ENVIRONMENTS:
-            run(method, env, " ".join(overrides) or AS_IT_COMES)
+            run(method, env, " ".join(sorted(overrides)) or AS_IT_COMES)
         case ["show"]:
             show()
         case _:
