@@ -50,9 +50,10 @@ _BOUNDS = {
     "min_confidence": (0, 1),
     "tau": (1e-6, 1),
 }
-_CHOICES = {
+_CHOICES: dict[str, tuple[str | bool, ...]] = {
     "method.exploration.kind": ("softmax", "uniform"),
     "method.inverse_dynamics.inputs": ("states", "change"),
+    "method.inverse_dynamics.standardise": ("change", True, False),
     "method.inverse_dynamics.labels": ("argmax", "sample"),
     "method.q_learning.loss": ("huber", "mse"),
     "method.goal_sampler.memory": ("run", "epoch", "none"),
@@ -109,7 +110,8 @@ def _check(key: str, value: Any) -> None:
     """Refuse a value outside its bounds or choices."""
     name = key.rpartition(".")[2]
     if key in _CHOICES and value not in _CHOICES[key]:
-        raise UserError(f"{key}={value}: must be one of {', '.join(_CHOICES[key])}")
+        allowed = ", ".join(str(choice).lower() for choice in _CHOICES[key])
+        raise UserError(f"{key}={value}: must be one of {allowed}")
     if isinstance(value, list):
         for entry in value:
             _check(key, entry)

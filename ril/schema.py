@@ -46,7 +46,7 @@ class InverseDynamicsConfig:
     """M_θ, its training (Alg. 1, line 7) and its labels (line 8)."""
 
     inputs: str = MISSING
-    standardise: bool = MISSING
+    standardise: Any = MISSING  # change, or all inputs: true or false
     learning_rate: float = MISSING
     updates: int = MISSING
     batch_size: int = MISSING

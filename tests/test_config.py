@@ -43,6 +43,7 @@ IUPES_OWN = {
     "episodes": 10,
     "inverse_dynamics.labels": "sample",
     "exploration.epsilon": 1.0,
+    "exploration.kind": "softmax",
     "goal_sampler.upper_limit": False,
 }
 
@@ -154,8 +155,11 @@ def test_consistent_ril_is_set_as_ril_but_for_its_corrections(compose: Any, env:
     own = {
         "name": "ril_consistent",
         "exploration.epsilon": 1,
+        "exploration.kind": "softmax",
+        "inverse_dynamics.standardise": True,
         "inverse_dynamics.learning_rate": 1e-3,
         "inverse_dynamics.updates": 100,
+        "cloning.updates": 200 if env == "acrobot" else 100,
     }
     if env == "lunarlander":
         own["episodes"] = 2
@@ -361,6 +365,7 @@ def test_what_must_be_positive_is(method: str, key: str, value: int) -> None:
         ("method.q_learning.replay_trajectories", float("inf"), "finite"),
         ("method.exploration.kind", "foo", "one of softmax, uniform"),
         ("method.inverse_dynamics.inputs", "foo", "one of states, change"),
+        ("method.inverse_dynamics.standardise", "states", "one of change, true, false"),
         ("method.q_learning.loss", "foo", "one of huber, mse"),
         ("method.goal_sampler.memory", "foo", "one of run, epoch"),
         ("env.name", "../up", "below output_dir"),

@@ -55,6 +55,12 @@ class SelfSupervisedImitation:
         if environment.config.goal == GoalConfig():
             conditions = ", ".join(field.name for field in fields(GoalConfig))
             raise UserError(f"env.goal: says of no episode that it succeeds; give {conditions}")
+        seen = config.inverse_dynamics
+        if seen.standardise == "change" and seen.inputs != "change":
+            raise UserError(
+                f"method.inverse_dynamics.standardise=change: inputs={seen.inputs} have no change; "
+                "true scales all inputs, false none"
+            )
         size, actions = environment.observation_size, environment.action_count
 
         self.inverse_dynamics = InverseDynamics(  # line 1: M_θ

@@ -47,6 +47,9 @@ class InverseDynamics:
     def standardise(self, transitions: Batch) -> None:
         """Scale the inputs by mean and standard deviation of some transitions, per seed.
 
+        With `standardise=change` only the change is: states come scaled, and an expert may be in
+        some that are far outside what random actions reach.
+
         Args:
             transitions: (S, B, …), those of I^pre.
         """
@@ -54,6 +57,9 @@ class InverseDynamics:
         self._mean = features.mean(dim=1, keepdim=True)
         deviation = features.std(dim=1, keepdim=True)
         self._deviation = torch.where(deviation > 0, deviation, torch.ones_like(deviation))
+        if self.config.standardise == "change":
+            size = transitions.observations.shape[-1]
+            self._mean[..., :size], self._deviation[..., :size] = 0.0, 1.0
 
     def train(self, selection: Selection) -> Tensor:
         """Algorithm 1, line 7: minibatch steps of cross-entropy on I^s.

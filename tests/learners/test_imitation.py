@@ -134,3 +134,8 @@ def test_no_chunk_is_larger_than_asked(make: Make, monkeypatch: pytest.MonkeyPat
 def test_a_goal_that_says_nothing_is_refused(make: Make) -> None:
     with pytest.raises(UserError, match=r"env\.goal: .*minimum_return"):
         make("env.goal.minimum_return=null")
+
+
+def test_states_alone_have_no_change_to_standardise(make: Make) -> None:
+    with pytest.raises(UserError, match=r"standardise=change: inputs=states have no change"):
+        make("method.inverse_dynamics.inputs=states")

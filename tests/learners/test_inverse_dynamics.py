@@ -89,6 +89,16 @@ def test_standardised_inputs_have_mean_zero_and_deviation_one() -> None:
     torch.testing.assert_close(found, expected)
 
 
+def test_the_change_alone_can_be_standardised() -> None:
+    dynamics, batch = model(inputs="change", standardise="change"), random_transitions()
+    dynamics.standardise(batch)
+    change = batch.next_observations - batch.observations
+    z = (change - change.mean(dim=1, keepdim=True)) / change.std(dim=1, keepdim=True)
+    expected = dynamics.network(torch.cat((batch.observations, z), dim=-1))
+    found = dynamics(batch.observations, batch.next_observations)
+    torch.testing.assert_close(found, expected)
+
+
 def test_a_constant_input_is_not_divided_by_zero() -> None:
     dynamics, batch = model(), random_transitions()
     batch.observations[..., 0] = 0.25
