@@ -31,6 +31,8 @@ SPACE: dict[str, tuple[Any, ...]] = {
     "method.inverse_dynamics.updates": (100, 300),
     "method.exploration.kind": ("softmax", "uniform"),
 }
+#: What else was so when the first draws were made.
+AS_FIRST_DRAWN = ("evaluation.every=1", "method.inverse_dynamics.standardise=true")
 BLOCK = 6  # a multiple of how many values each has
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar")
 
@@ -51,7 +53,7 @@ def run(draw: int, env: str) -> None:
         return
     settings = drawn(draw)
     overrides = [f"{key}={value}" for key, value in settings.items()]
-    measured = outcome(env, "method=ril", "evaluation.every=1", *overrides)
+    measured = outcome(env, "method=ril", *AS_FIRST_DRAWN, *overrides)
     append(DRAWS, {"draw": draw, "env": env} | settings | measured)
 
 
