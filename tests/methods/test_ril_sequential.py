@@ -95,7 +95,8 @@ def second_half(
     policy.flat.copy_(middle["policy"])
     settings: Any = config.method
     settings.q_learning.replay.capacity = round(10 * len(task.expert.observations))
-    q_learning = OnlineQLearning(settings.q_learning, task, policy, "softmax", 60, SECOND)
+    kind = settings.exploration.kind
+    q_learning = OnlineQLearning(settings.q_learning, task, policy, kind, 60, SECOND)
     ratio = Streams(task.seeds, "exploration ratio")
     ratio.load_state_dict(middle["parts"]["imitation"]["parts"]["exploration ratio stream"])
     states = torch.from_numpy(task.expert.observations).expand(2, -1, -1)
