@@ -41,7 +41,7 @@ def mountaincar(env: Any, states: States, actions: Integers) -> tuple[States, St
     """`MountainCarEnv.step`."""
     position, velocity = states
     # Gymnasium takes the cosine from math, which NumPy's may differ from in the last bit.
-    slope = np.array([math.cos(angle) for angle in (3 * position).tolist()])
+    slope = np.fromiter(map(math.cos, (3 * position).tolist()), float, len(position))
     velocity = velocity + ((actions - 1) * env.force + slope * -env.gravity)
     velocity = np.minimum(np.maximum(velocity, -env.max_speed), env.max_speed)
     position = np.minimum(np.maximum(position + velocity, env.min_position), env.max_position)
