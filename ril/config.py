@@ -172,11 +172,10 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
         del content[key]
     del content["env"]["vectorized"]  # is equal bit for bit
     content["demonstrations"] = demonstrations_sha256
-    # Of auto, rounding may differ between machines anyway. Imitation alone is compiled only where
-    # it is asked for, or so long that nobody has run it.
+    # Of auto, rounding may differ between machines anyway.
     online = isinstance(getattr(config.method, "q_learning", None), OnlineQLearningConfig)
-    imitates = isinstance(config.method, BCConfig) and config.compile is True
-    if config.compile == "auto" or not (online or imitates):
+    compiles = online or isinstance(config.method, BCConfig)
+    if config.compile == "auto" or not compiles:
         del content["compile"]
     for key in idle_ablations(config):
         del content["ablation"][key]

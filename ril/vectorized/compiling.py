@@ -13,9 +13,9 @@ from typing import Any
 
 from ril.errors import one_line
 
-#: Updates after which compiling, half a minute, has paid, whether of one seed or of ten at once:
-#: which other seeds there are is not to decide how a seed's numbers are rounded.
-_WORTHWHILE = 100_000
+#: Updates after which compiling, half a minute the first time, has paid, whether of one seed or
+#: of ten at once: which other seeds there are is not to decide how a seed's numbers are rounded.
+_WORTHWHILE = 30_000
 
 
 def worth_compiling(wanted: bool | str, updates: int) -> bool:
