@@ -55,6 +55,8 @@ def test_without_reinforcement_it_imitates_as_ril_does(
         "method.reinforcement=false",
         "method.epochs=8",
         "method.exploration.epsilon=1",
+        "method.exploration.kind=softmax",
+        "method.inverse_dynamics.standardise=true",
         "method.inverse_dynamics.learning_rate=0.001",
     )
     method, config = make(*settings), quick("method=ril", *settings)
