@@ -233,7 +233,7 @@ def test_the_report_shows_a_run_in_the_papers_setting(
     [
         ("ablation.k=3", False),
         ("resume=false", False),
-        ("method.q_learning.discount=0.9", False),  # the default, spelled out
+        ("method.q_learning.discount=0.95", False),  # the default, spelled out
         ("method.q_learning.discount=0.8", True),
         ("fidelity=paper", False),  # changes nothing on CartPole
     ],
