@@ -109,7 +109,7 @@ def leaves(node: Any, key: str) -> Iterator[tuple[str, Any]]:
 def _check(key: str, value: Any) -> None:
     """Refuse a value outside its bounds or choices."""
     name = key.rpartition(".")[2]
-    if key in _CHOICES and value not in _CHOICES[key]:
+    if key in _CHOICES and (type(value), value) not in [(type(c), c) for c in _CHOICES[key]]:
         allowed = ", ".join(str(choice).lower() for choice in _CHOICES[key])
         raise UserError(f"{key}={value}: must be one of {allowed}")
     if isinstance(value, list):

@@ -42,22 +42,24 @@ CHOICES = {
         "method.goal_sampler.pre_steps_per_action=1000",
         "method.inverse_dynamics.inputs=states method.inverse_dynamics.standardise=true",
         "method.inverse_dynamics.standardise=true",
+        "method.inverse_dynamics.standardise=change",
         "method.inverse_dynamics.updates=30",
         "method.inverse_dynamics.updates=1000",
         "method.inverse_dynamics.labels=sample",
         "method.cloning.updates=30",
-        "method.cloning.updates=300",
+        "method.cloning.updates=100",
         "method.cloning.updates=1000",
         "method.q_learning.updates=10",
-        "method.q_learning.updates=200",
+        "method.q_learning.updates=50",
+        "method.q_learning.discount=0.9",
         "method.q_learning.discount=0.99",
-        "method.q_learning.target_interval=100",
+        "method.q_learning.target_interval=0",
         "method.q_learning.loss=mse",
-        "method.exploration.kind=uniform",
+        "method.exploration.kind=softmax",
         "method.goal_sampler.memory=epoch",
         "method.network.layer_norm=false",
         "method.network.attention=false",
-        "evaluation.every=1",
+        "evaluation.every=5",
         "fidelity=paper",
     ),
     "ril_consistent": (
@@ -154,8 +156,8 @@ def append(path: Path, row: dict[str, Any]) -> None:
 
 def show() -> None:
     """Print a table per method: what each change alone does to the returns of each environment."""
-    for method, choices in CHOICES.items():
-        path = SEARCH / f"{method}.csv"
+    for name in ("ril_before", *CHOICES):
+        path = SEARCH / f"{name}.csv"
         if not path.exists():
             continue
         tried = pd.read_csv(path)
@@ -163,9 +165,9 @@ def show() -> None:
             f"{row.aer:.1f} ± {row.aer_std:.1f} ({row.aer_last:.1f})" for row in tried.itertuples()
         ]
         table = tried.pivot(index="changed", columns="env", values="cell")
-        order = [name for name in choices if name in table.index]
-        table = table.reindex(index=order, columns=ENVIRONMENTS).dropna(axis="columns", how="all")
-        print(f"\n### `method={method}`\n")
+        table = table.reindex(index=tried["changed"].unique(), columns=ENVIRONMENTS)
+        table = table.dropna(axis="columns", how="all")
+        print(f"\n### {name}\n")
         print(f"| changed | {' | '.join(table.columns)} |\n|---|{'---|' * len(table.columns)}")
         for changed, cells in table.fillna("–").iterrows():
             named = changed if changed == AS_IT_COMES else f"`{changed}`"

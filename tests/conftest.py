@@ -103,6 +103,7 @@ QUICK_METHODS = {
     ),
     "ril": (
         *QUICK_IMITATION,
+        "method.q_learning.target_interval=5",
         "method.q_learning.updates=4",
         "method.q_learning.batch_size=16",
     ),

@@ -54,9 +54,11 @@ IUPES_OWN = {
 def test_what_a_method_shares_with_ril_is_set_as_rils(
     compose: Any, env: str, method: str, own: dict[str, Any], fidelity: str
 ) -> None:
-    ril = dict(leaves(compose(f"env={env}", f"fidelity={fidelity}").method))
-    found = dict(leaves(compose(f"env={env}", f"method={method}", f"fidelity={fidelity}").method))
+    usual = compose(f"env={env}", f"fidelity={fidelity}")
+    config = compose(f"env={env}", f"method={method}", f"fidelity={fidelity}")
+    ril, found = dict(leaves(usual.method)), dict(leaves(config.method))
     assert found == {key: ril[key] for key in found} | own
+    assert config.evaluation == usual.evaluation
 
 
 @pytest.mark.parametrize(
@@ -366,6 +368,7 @@ def test_what_must_be_positive_is(method: str, key: str, value: int) -> None:
         ("method.exploration.kind", "foo", "one of softmax, uniform"),
         ("method.inverse_dynamics.inputs", "foo", "one of states, change"),
         ("method.inverse_dynamics.standardise", "states", "one of change, true, false"),
+        ("method.inverse_dynamics.standardise", 1, "one of change, true, false"),
         ("method.q_learning.loss", "foo", "one of huber, mse"),
         ("method.goal_sampler.memory", "foo", "one of run, epoch"),
         ("env.name", "../up", "below output_dir"),

@@ -55,10 +55,10 @@ class SelfSupervisedImitation:
         if environment.config.goal == GoalConfig():
             conditions = ", ".join(field.name for field in fields(GoalConfig))
             raise UserError(f"env.goal: says of no episode that it succeeds; give {conditions}")
-        seen = config.inverse_dynamics
-        if seen.standardise == "change" and seen.inputs != "change":
+        inputs = config.inverse_dynamics.inputs
+        if config.inverse_dynamics.standardise == "change" and inputs != "change":
             raise UserError(
-                f"method.inverse_dynamics.standardise=change: inputs={seen.inputs} have no change; "
+                f"method.inverse_dynamics.standardise=change: inputs={inputs} have no change; "
                 "true scales all inputs, false none"
             )
         size, actions = environment.observation_size, environment.action_count

@@ -61,9 +61,9 @@ class ConsistentRIL(RIL):
             settings,
             task.seeds,
             recent=recent,
-            # One of its updates is worth five of Q-learning's, whose networks it evaluates once.
+            # One of its updates is worth four of Q-learning's, whose networks it evaluates once.
             fused=worth_compiling(
-                task.compile, 5 * config.epochs * config.episodes * settings.updates
+                task.compile, 4 * config.epochs * config.episodes * settings.updates
             ),
         )
         return self.learning.policy

@@ -64,6 +64,7 @@ def test_the_goal_sampler_mixes_without_equation_2(both: Any) -> None:
     [
         "method.inverse_dynamics.labels=argmax",
         "method.exploration.epsilon=null",
+        "method.exploration.kind=uniform",
         "method.goal_sampler.upper_limit=true",
         "method.reinforcement=true",
     ],
