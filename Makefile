@@ -7,8 +7,8 @@ BIN := .venv/bin
 run: install ## train RIL on MountainCar, 10 seeds
 	$(BIN)/ril-run env=mountaincar method=ril
 
-test: install ## the test suite
-	$(BIN)/pytest
+test: install ## the test suite, on every core up to four
+	$(BIN)/pytest --numprocesses=auto --maxprocesses=4 --dist=worksteal
 
 lint: install ## style and types
 	$(BIN)/ruff check .
