@@ -179,6 +179,8 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
         del content["compile"]
     for key in idle_ablations(config):
         del content["ablation"][key]
+    if not content["method"].get("goal_sampler", {}).get("keep_pre", True):
+        del content["method"]["goal_sampler"]["keep_pre"]  # runs before it came were without
     canonical = json.dumps(content, sort_keys=True)
     return hashlib.sha256(canonical.encode()).hexdigest()[:10]
 

@@ -142,6 +142,7 @@ class GoalSamplerConfig:
     pre_steps_per_action: int = MISSING
     memory: str = MISSING
     upper_limit: bool = MISSING
+    keep_pre: bool = MISSING
 
 
 @dataclass

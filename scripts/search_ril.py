@@ -57,6 +57,7 @@ CHOICES = {
         "method.q_learning.loss=mse",
         "method.exploration.kind=softmax",
         "method.goal_sampler.memory=epoch",
+        "method.goal_sampler.keep_pre=true",
         "method.network.layer_norm=false",
         "method.network.attention=false",
         "evaluation.every=5",

@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 from functools import reduce
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from conftest import composed
 from omegaconf import MISSING, OmegaConf
 
 from ril.config import epochs_between_looks, from_hydra, run_id
+from ril.demonstrations.files import demonstrations_path, load_demonstrations
 from ril.errors import UserError
 from ril.schema import METHOD_CONFIGS, Config
 
@@ -599,6 +601,17 @@ def test_looks_are_every_so_many_epochs_or_a_share_of_them(
     every: Any, epochs: int, between: int
 ) -> None:
     assert epochs_between_looks(every, epochs) == between
+
+
+@pytest.mark.parametrize("method", ["bc", "ril", "ril_consistent"])
+@pytest.mark.parametrize("env", NAMES)
+def test_the_rows_that_are_kept_are_of_the_method_as_it_comes(
+    compose: Any, environments: Any, env: str, method: str
+) -> None:
+    config = compose(f"env={env}", f"method={method}")
+    demonstrations = load_demonstrations(demonstrations_path(config), environments[env])
+    kept = Path(__file__).parents[1] / "outputs" / "reference" / env / method
+    assert (kept / run_id(config, demonstrations.sha256) / "results.csv").exists()
 
 
 def test_run_id_does_not_depend_on_how_a_value_was_chosen(compose: Any) -> None:

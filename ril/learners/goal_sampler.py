@@ -81,10 +81,12 @@ def select(
     share: NDArray[np.float64],
     action_count: int,
     uniform: NDArray[np.float32],
+    *,
+    keep_pre: bool,
 ) -> Selection:
     """Algorithm 1, line 14: I^s from I^pre and I^pos.
 
-    Per action, `share` of the transitions of I^pos and 1 − `share` of those of I^pre.
+    Per action, `share` of the transitions of I^pos, and of those of I^pre all or 1 − `share`.
 
     Args:
         pre: I^pre, the random policy's transitions.
@@ -92,11 +94,13 @@ def select(
         share: (S,) of I^pos, in [0, 1]; taken as 0 for seeds whose I^pos is empty.
         action_count: |A|.
         uniform: (S, capacity of pre + capacity of pos) random numbers in [0, 1).
+        keep_pre: whether I^pre is in I^s whole, whatever the share.
     """
     share = np.where(pos.sizes > 0, share, 0.0)
+    share_of_pre = np.ones_like(share) if keep_pre else 1 - share
     chosen = np.concatenate(
         (
-            choose_per_action(pre, 1 - share, action_count, uniform[:, : pre.capacity]),
+            choose_per_action(pre, share_of_pre, action_count, uniform[:, : pre.capacity]),
             choose_per_action(pos, share, action_count, uniform[:, pre.capacity :]),
         ),
         axis=1,

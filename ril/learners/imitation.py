@@ -126,7 +126,10 @@ class SelfSupervisedImitation:
         uniform = self._streams["goal sampler"].uniform(self.pre.capacity + self.pos.capacity)
         share = np.minimum(limit, self.positive_share)
         actions = self.task.environment.action_count
-        dataset = select(self.pre, self.pos, share, actions, uniform)  # line 14: I^s
+        keep_pre = self.config.goal_sampler.keep_pre
+        dataset = select(  # line 14: I^s
+            self.pre, self.pos, share, actions, uniform, keep_pre=keep_pre
+        )
         inverse_dynamics_loss = self.inverse_dynamics.train(dataset)  # line 7
         metrics = {"inverse_dynamics_loss": inverse_dynamics_loss.double().cpu().numpy()}
         return metrics, self._label()  # line 8: Â

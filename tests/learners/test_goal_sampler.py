@@ -124,7 +124,12 @@ def test_all_slots_are_equally_likely_to_be_chosen() -> None:
 
 
 def selected(
-    pre: list[list[int]], pos: list[list[int]], shares: list[float], state: int = 0
+    pre: list[list[int]],
+    pos: list[list[int]],
+    shares: list[float],
+    state: int = 0,
+    *,
+    keep_pre: bool = False,
 ) -> list[list[tuple[int, int]]]:
     """(number, action) of each transition of I^s, by seed; those of I^pos count from 100."""
     seeds = len(pre)
@@ -134,6 +139,7 @@ def selected(
         np.array(shares),
         ACTIONS,
         random_numbers(seeds, 25, state),
+        keep_pre=keep_pre,
     )
     return [
         [
@@ -149,21 +155,24 @@ def selected(
     pos=st.tuples(filled.map(lambda a: a[:10]), filled.map(lambda a: a[:10])),
     shares=st.tuples(shares, shares),
     state=st.integers(0, 99),
+    keep_pre=st.booleans(),
 )
-def test_a_share_of_pos_and_the_rest_of_pre_per_action(
+def test_a_share_of_pos_and_all_or_the_rest_of_pre_per_action(
     pre: tuple[list[int], ...],
     pos: tuple[list[int], ...],
     shares: tuple[float, float],
     state: int,
+    keep_pre: bool,
 ) -> None:
-    datasets = selected(list(pre), list(pos), list(shares), state)
+    datasets = selected(list(pre), list(pos), list(shares), state, keep_pre=keep_pre)
     for of_pre, of_pos, given_share, dataset in zip(pre, pos, shares, datasets, strict=True):
         share = given_share if of_pos else 0
         assert len({number for number, _ in dataset}) == len(dataset)  # none twice
         for number, action in dataset:
             source, slot = (of_pos, number - 100) if number >= 100 else (of_pre, number)
             assert source[slot] == action
-        expected = +quotas(of_pre, 1 - share), +quotas(of_pos, share)
+        share_of_pre = 1 if keep_pre else 1 - share
+        expected = +quotas(of_pre, share_of_pre), +quotas(of_pos, share)
         found = (
             Counter(action for number, action in dataset if number < 100),
             Counter(action for number, action in dataset if number >= 100),
@@ -181,6 +190,11 @@ def test_the_whole_share_leaves_nothing_of_pre() -> None:
     assert sorted(number for number, _ in dataset) == [100, 101]
 
 
+def test_or_all_of_it() -> None:
+    [dataset] = selected([[0, 1, 2, 0]], [[1, 1]], [1.0], keep_pre=True)
+    assert sorted(number for number, _ in dataset) == [0, 1, 2, 3, 100, 101]
+
+
 def test_what_is_selected_does_not_depend_on_other_seeds() -> None:
     pre, pos, uniform = [[0, 1, 1, 0, 2, 2]], [[0, 2, 1]], random_numbers(2, 25)
     share = np.array([0.5, 0.1])
@@ -188,7 +202,8 @@ def test_what_is_selected_does_not_depend_on_other_seeds() -> None:
     def first_seed(datasets_pre: list[list[int]], datasets_pos: list[list[int]]) -> list[float]:
         seeds = len(datasets_pre)
         memories = memory_of(datasets_pre), memory_of(datasets_pos, capacity=10, first=100)
-        dataset = select(*memories, share[:seeds], ACTIONS, uniform[:seeds])
+        numbers = uniform[:seeds]
+        dataset = select(*memories, share[:seeds], ACTIONS, numbers, keep_pre=False)
         return dataset.transitions.rewards[0, : dataset.sizes[0]].tolist()
 
     assert first_seed(pre, pos) == first_seed([*pre, [2] * 15], [*pos, [1] * 9])

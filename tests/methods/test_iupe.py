@@ -66,6 +66,7 @@ def test_the_goal_sampler_mixes_without_equation_2(both: Any) -> None:
         "method.exploration.epsilon=null",
         "method.exploration.kind=uniform",
         "method.goal_sampler.upper_limit=true",
+        "method.goal_sampler.keep_pre=true",
         "method.reinforcement=true",
     ],
 )

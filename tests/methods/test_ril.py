@@ -122,6 +122,7 @@ LONG = ("method.epochs=6", "ablation.n=5", "method.stopping.patience=5")
     [
         (),
         ("method.goal_sampler.memory=epoch", "method.q_learning.target_interval=7"),
+        ("method.goal_sampler.keep_pre=true",),
         ("method.imitation=false",),
         ("method.reinforcement=false",),
     ],
@@ -270,7 +271,10 @@ def imitation_alone(method: RIL, epochs: int, n: float, goal: float) -> tuple[Ne
         limit = 0.0 if epoch == 0 else 1.0 if epoch >= n else 1 - 1 / (1 + (n / epoch - 1) ** -2)
         uniform = sampler.uniform(2 * pre.capacity)
         share = np.minimum(limit, goals)
-        dynamics.train(select(pre, pos, share, task.environment.action_count, uniform))
+        actions = task.environment.action_count
+        dynamics.train(
+            select(pre, pos, share, actions, uniform, keep_pre=config.goal_sampler.keep_pre)
+        )
         cloning.train(states, dynamics.label(every_states, every_next))
         with torch.no_grad():
             epsilon = exploration_ratio(policy(every_states), ratio.uniform(len(states)))
@@ -280,8 +284,10 @@ def imitation_alone(method: RIL, epochs: int, n: float, goal: float) -> tuple[Ne
     return policy, dynamics.network
 
 
-def test_without_reinforcement_it_is_imitation_alone(make: Any) -> None:
-    method = make("method.reinforcement=false", "method.epochs=8")
+@pytest.mark.parametrize("keep_pre", ["true", "false"])
+def test_without_reinforcement_it_is_imitation_alone(make: Any, keep_pre: str) -> None:
+    keep = f"method.goal_sampler.keep_pre={keep_pre}"
+    method = make("method.reinforcement=false", "method.epochs=8", keep)
     goals = [progress.metrics["goals"] for progress in trained(method)]
     assert 0 < np.mean(goals[:-1]) < 1  # so that the goal sampler mixes I^pre and I^pos
     policy, dynamics = imitation_alone(method, epochs=8, n=4, goal=11)
