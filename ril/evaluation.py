@@ -13,7 +13,8 @@ from ril.vectorized.networks import Network
 from ril.vectorized.rollout import Environments
 from ril.vectorized.streams import Streams
 
-_COPIES = 25  # environments per seed that are played side by side
+_COPIES = 50  # environments per seed that are played side by side
+_RANDOM_COPIES = 25  # of random actions; another number would draw others
 
 
 class Evaluation:
@@ -62,7 +63,7 @@ def random_returns(
 ) -> NDArray[np.float64]:
     """(S, episodes) returns of random actions; `performance` counts from seed 0's (§4)."""
     streams = Streams(seeds, "random policy")
-    copies = min(episodes, _COPIES)
+    copies = min(episodes, _RANDOM_COPIES)
     environments = Environments(environment, len(seeds) * copies)
     rounds = []
     for _ in range(math.ceil(episodes / copies)):
