@@ -179,8 +179,9 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
         del content["compile"]
     for key in idle_ablations(config):
         del content["ablation"][key]
-    if not content["method"].get("goal_sampler", {}).get("keep_pre", True):
-        del content["method"]["goal_sampler"]["keep_pre"]  # runs before it came were without
+    goal_sampler = content["method"].get("goal_sampler")
+    if goal_sampler and not goal_sampler["keep_pre"]:
+        del goal_sampler["keep_pre"]  # runs from before it came, which are the same, have none
     canonical = json.dumps(content, sort_keys=True)
     return hashlib.sha256(canonical.encode()).hexdigest()[:10]
 
