@@ -18,6 +18,7 @@ from ril.schema import METHOD_CONFIGS, Config
 
 NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 GYM = ("env=gym", "env.id=MountainCar-v0")
+REFERENCE = Path(__file__).parents[1] / "outputs" / "reference"
 
 
 @pytest.mark.parametrize("env", [(f"env={name}",) for name in NAMES] + [GYM])
@@ -603,6 +604,7 @@ def test_looks_are_every_so_many_epochs_or_a_share_of_them(
     assert epochs_between_looks(every, epochs) == between
 
 
+@pytest.mark.skipif(not REFERENCE.exists(), reason="rows come with a clone, not with an sdist")
 @pytest.mark.parametrize("method", ["bc", "ril", "ril_consistent"])
 @pytest.mark.parametrize("env", NAMES)
 def test_the_rows_that_are_kept_are_of_the_method_as_it_comes(
@@ -610,8 +612,8 @@ def test_the_rows_that_are_kept_are_of_the_method_as_it_comes(
 ) -> None:
     config = compose(f"env={env}", f"method={method}")
     demonstrations = load_demonstrations(demonstrations_path(config), environments[env])
-    kept = Path(__file__).parents[1] / "outputs" / "reference" / env / method
-    assert (kept / run_id(config, demonstrations.sha256) / "results.csv").exists()
+    identifier = run_id(config, demonstrations.sha256)
+    assert (REFERENCE / env / method / identifier / "results.csv").exists()
 
 
 def test_run_id_does_not_depend_on_how_a_value_was_chosen(compose: Any) -> None:
