@@ -11,11 +11,11 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import JobStatus
 from omegaconf import DictConfig
 
-from ril.errors import UserError
+from ril.io.errors import UserError
 
 if TYPE_CHECKING:
-    from ril.sweep import Cell
-    from ril.sweep_progress import SweepProgress
+    from ril.cli.sweep import Cell
+    from ril.cli.sweep_progress import SweepProgress
 
 _LAUNCHES = 4  # of a cell at most, as Ray has it
 
@@ -46,8 +46,8 @@ class CellSweeper(basic_sweeper.BasicSweeper):
             SystemExit: a cell failed, or the user stopped the sweep.
         """
         # Here, since Hydra loads plugins at every start.
-        from ril.sweep import expand, plan
-        from ril.sweep_progress import SweepProgress
+        from ril.cli.sweep import expand, plan
+        from ril.cli.sweep_progress import SweepProgress
 
         assert self.config is not None
         assert self.hydra_context is not None
@@ -78,7 +78,7 @@ class CellSweeper(basic_sweeper.BasicSweeper):
         """Have the launcher run some cells; again, where a worker of it was killed."""
         from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-        from ril.command import in_one_line
+        from ril.cli.command import in_one_line
 
         assert self.launcher is not None
         for _ in range(_LAUNCHES):

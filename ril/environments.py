@@ -10,8 +10,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.errors import UserError, one_line
-from ril.schema import EnvironmentConfig, GoalConfig
+from ril.config.schema import EnvironmentConfig, GoalConfig
+from ril.io.errors import UserError, one_line
 
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int64]

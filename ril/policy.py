@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ril.environments import Environment, Floats
-from ril.errors import UserError
-from ril.files import tensor_bytes, write_atomically
+from ril.io.errors import UserError
+from ril.io.files import tensor_bytes, write_atomically
 from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
-from ril.record import Record
+from ril.run.record import Record
 from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 
 _ARCHITECTURES: dict[str, type[Architecture]] = {

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import torch
 
+from ril.config.schema import AblationConfig
 from ril.demonstrations.trajectories import StateTransitions
 from ril.environments import Environment
-from ril.schema import AblationConfig
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 
+from ril.config.schema import EnvironmentConfig  # noqa: E402
 from ril.environments import Environment, load_environment  # noqa: E402
-from ril.schema import EnvironmentConfig  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIES, STEPS = 8, 128  # one rollout is 8 environments × 128 steps

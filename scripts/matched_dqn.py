@@ -7,11 +7,11 @@ import hydra
 import numpy as np
 from stable_baselines3 import DQN
 
-from ril.cli import store_schemas
-from ril.config import from_hydra
+from ril.cli.run import store_schemas
+from ril.config.checks import from_hydra
+from ril.config.schema import Config, DQNConfig
 from ril.environments import Environment
-from ril.paths import config_folder
-from ril.schema import Config, DQNConfig
+from ril.io.paths import config_folder
 
 
 def composed(*overrides: str) -> Config:

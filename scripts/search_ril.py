@@ -24,10 +24,10 @@ import pandas as pd
 from matched_dqn import composed
 from rich.console import Console
 
-from ril.collection import Episode, save
+from ril.cli.display import ConsoleDisplay
 from ril.demonstrations.files import shipped_path
-from ril.display import ConsoleDisplay
-from ril.experiment import run as run_cell
+from ril.experts.collection import Episode, save
+from ril.run.experiment import run as run_cell
 
 SEARCH = Path(__file__).resolve().parents[1] / "docs" / "search"
 SEEDS = "[100,101,102,103,104]"

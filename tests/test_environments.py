@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from gymnasium.envs.classic_control import MountainCarEnv
 
+from ril.config.schema import EnvironmentConfig, GoalConfig
 from ril.environments import Environment, load_environment, reaches_goal
-from ril.errors import UserError
-from ril.schema import EnvironmentConfig, GoalConfig
+from ril.io.errors import UserError
 
 NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from references import copies_of, random_network
+from helpers.references import copies_of, random_network
 
 from ril.environments import Environment
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.policy import load_policy, save_policies
-from ril.record import Record
+from ril.run.record import Record
 from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 
 ARCHITECTURE = MLP(inputs=4, hidden=(6,), outputs=2)

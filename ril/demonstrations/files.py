@@ -8,14 +8,14 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 
+from ril.config.schema import Config
 from ril.demonstrations.layouts import DataError, Trajectories, read_npz
 from ril.demonstrations.minari import data_folder, read_minari
 from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment
-from ril.errors import UserError
-from ril.schema import Config
+from ril.io.errors import UserError
 
-SHIPPED = Path(__file__).parents[1] / "data"
+SHIPPED = Path(__file__).parent / "data"
 _TOLERANCE = 0.01  # of the range of an observation's entry, which it may lie beyond its bounds
 _OFF_LEVEL = 0.05  # of a sub-optimal expert's level, which its mean return may be off
 _MAY_LEAVE = 0.1  # of all states; environments such as LunarLander leave their own space at times

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box, Discrete, Space
 
 from ril.demonstrations.layouts import DataError, Trajectories, from_own
 from ril.environments import Environment
-from ril.errors import one_line
+from ril.io.errors import one_line
 
 
 def data_folder(path: Path) -> Path:

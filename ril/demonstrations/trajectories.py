@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ril.environments import Environment, Floats
-from ril.errors import UserError
+from ril.io.errors import UserError
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ril.schema import CloningConfig
+from ril.config.schema import CloningConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, Parameters

@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ril.config.schema import ConsistencyConfig
 from ril.learners.td import n_step, taken, td_losses, td_targets
-from ril.schema import ConsistencyConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import Consistent, Network, Parameters, by_name, parameter_count
 from ril.vectorized.replay import Batch, Replay, random_indices

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from ril.schema import DiscriminatorConfig
+from ril.config.schema import DiscriminatorConfig
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import at, random_indices
 from ril.vectorized.streams import Streams

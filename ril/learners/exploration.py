@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ril.config.schema import ExplorationConfig
 from ril.environments import Floats, Integers
-from ril.schema import ExplorationConfig
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.rollout import Environments, Episodes

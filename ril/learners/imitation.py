@@ -11,8 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ril.config.schema import GoalConfig, IUPEConfig
 from ril.environments import Floats, Integers, reaches_goal
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.learners.cloning import Cloning
 from ril.learners.exploration import exploration_ratio, sample_softmax
 from ril.learners.goal_sampler import select
@@ -20,7 +21,6 @@ from ril.learners.inverse_dynamics import InverseDynamics
 from ril.learners.stopping import StoppingRule
 from ril.learners.td import taken
 from ril.learners.topology import mlp
-from ril.schema import GoalConfig, IUPEConfig
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network

@@ -7,8 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ril.config.schema import InverseDynamicsConfig
 from ril.learners.goal_sampler import Selection
-from ril.schema import InverseDynamicsConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, Parameters

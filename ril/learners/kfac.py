@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ril.errors import UserError
-from ril.schema import KFACConfig
+from ril.config.schema import KFACConfig
+from ril.io.errors import UserError
 from ril.vectorized.networks import MLP, Network, apply_linear
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ril.config.schema import OnlineQLearningConfig
 from ril.environments import Floats, Integers
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.learners.exploration import sample_softmax
 from ril.learners.q_learning import QLearning
-from ril.schema import OnlineQLearningConfig
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network

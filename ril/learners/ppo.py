@@ -17,11 +17,11 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
+from ril.config.schema import PPOConfig
 from ril.environments import Environment, Floats, Integers
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.learners.stable_baselines import Normalised, StableBaselinesEnvironments
 from ril.learners.topology import tanh_mlp
-from ril.schema import PPOConfig
 from ril.vectorized.networks import MLP
 from ril.vectorized.stepping import SteppedEnvironments
 

@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ril.config.schema import TargetNetworkConfig
 from ril.learners.td import td_errors, td_losses
-from ril.schema import TargetNetworkConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import Network, Parameters, by_name
 from ril.vectorized.priorities import Priorities

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.schema import StoppingConfig
+from ril.config.schema import StoppingConfig
 
 
 class StoppingRule:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ril.schema import NetworkConfig
+from ril.config.schema import NetworkConfig
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
 

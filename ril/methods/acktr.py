@@ -11,13 +11,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ril.config.schema import ACKTRConfig
 from ril.environments import Floats
 from ril.learners.advantages import generalised_advantages
 from ril.learners.exploration import sample_softmax
 from ril.learners.kfac import KFAC
 from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
-from ril.schema import ACKTRConfig
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.stepping import Step, SteppedEnvironments

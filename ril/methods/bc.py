@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from ril.config.schema import BCConfig
 from ril.demonstrations.trajectories import LabelledTransitions
 from ril.learners.cloning import Cloning
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
-from ril.schema import BCConfig
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.streams import Streams

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ril.config.schema import DQNConfig
 from ril.learners.online_q_learning import EPOCHS, OnlineQLearning
 from ril.learners.topology import mlp
 from ril.methods.base import Progress
-from ril.schema import DQNConfig
 from ril.task import Task
 from ril.vectorized.networks import Architecture, Dueling, Network
 

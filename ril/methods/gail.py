@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ril.config.schema import GAILConfig
 from ril.demonstrations.trajectories import LabelledTransitions
 from ril.environments import Floats
 from ril.learners.discriminator import Discriminator, state_action_pairs
 from ril.learners.ppo import PPOAgent, actor_topology
 from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
-from ril.schema import GAILConfig
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.processes import Spread

@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ril.config.schema import ILPOConfig
 from ril.environments import Environment
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.learners.exploration import explore
 from ril.learners.latent_policy import (
     ActionRemapping,
@@ -21,7 +22,6 @@ from ril.learners.latent_policy import (
     nearest_latents,
 )
 from ril.methods.base import Progress
-from ril.schema import ILPOConfig
 from ril.task import Task
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, parameter_count

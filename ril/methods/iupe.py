@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from ril.config.schema import IUPEConfig
 from ril.learners.exploration import Explorer
 from ril.learners.imitation import SelfSupervisedImitation
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
-from ril.schema import IUPEConfig
 from ril.task import Task
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ril.config.schema import PPOMethodConfig
 from ril.learners.ppo import PPOAgent, actor_topology
 from ril.methods.base import Progress
-from ril.schema import PPOMethodConfig
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.processes import Spread

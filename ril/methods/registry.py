@@ -6,10 +6,10 @@ import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ril.config.schema import MethodConfig
 from ril.demonstrations.trajectories import Demonstrations, StateTransitions
 from ril.environments import Environment
 from ril.methods.base import Method
-from ril.schema import MethodConfig
 from ril.task import Task
 
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.errors import UserError
+from ril.config.schema import HalvesConfig, RILConfig
+from ril.io.errors import UserError
 from ril.learners.exploration import Explorer
 from ril.learners.goal_sampler import positive_limit
 from ril.learners.imitation import Metrics, SelfSupervisedImitation
 from ril.learners.q_learning import QLearning
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
-from ril.schema import HalvesConfig, RILConfig
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network

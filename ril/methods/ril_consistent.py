@@ -10,13 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.errors import UserError
+from ril.config.schema import RILConsistentConfig
+from ril.io.errors import UserError
 from ril.learners.consistency import ConsistentLearning
 from ril.learners.goal_sampler import positive_limit
 from ril.learners.imitation import Metrics
 from ril.learners.topology import mlp
 from ril.methods.ril import RIL, empty_memory, steps_of
-from ril.schema import RILConsistentConfig
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Consistent, Network

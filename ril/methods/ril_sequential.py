@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.errors import UserError
+from ril.config.schema import RILSequentialConfig
+from ril.io.errors import UserError
 from ril.learners.exploration import Explorer
 from ril.learners.goal_sampler import positive_limit
 from ril.learners.imitation import Metrics, SelfSupervisedImitation
 from ril.learners.online_q_learning import EPOCHS, OnlineQLearning
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
-from ril.schema import RILSequentialConfig
 from ril.task import Task
 
 

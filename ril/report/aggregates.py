@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ril.report.evidence import Evidence
 from ril.report.findings import REFERENCES, find
 from ril.report.layout import Grid, with_interval
-from ril.report.paper import ENVIRONMENTS, Cell, Setting, table
+from ril.report.paper.tables import ENVIRONMENTS, Cell, Setting, table
 from ril.report.statistics import Aggregate, aggregate, probability_of_improvement
 
 Scores = dict[str, NDArray[np.float64]]  # performance P per seed, by environment

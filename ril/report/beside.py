@@ -6,7 +6,7 @@ import pandas as pd
 
 from ril.report.evidence import Evidence, shortfall
 from ril.report.layout import number
-from ril.report.paper import ENVIRONMENTS, TABLES, table
+from ril.report.paper.tables import ENVIRONMENTS, TABLES, table
 
 
 def paper_cell(rows: pd.DataFrame) -> str | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import pandas as pd
 from matplotlib.figure import Figure
 
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.policy import load_policy
 from ril.report import aggregates
 from ril.report.evidence import Evidence, command
@@ -21,7 +21,7 @@ from ril.report.figures.style import Reference
 from ril.report.figures.variants import changes
 from ril.report.findings import find
 from ril.report.mountaincar import DiscretePolicy, optimal_policy
-from ril.report.paper import ENVIRONMENTS, Cell, Setting, solved_return, table
+from ril.report.paper.tables import ENVIRONMENTS, Cell, Setting, solved_return, table
 from ril.report.variants import variants
 
 

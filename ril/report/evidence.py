@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ril.report.paper import Setting, Table, known_methods
-from ril.results import load_curves, load_results
+from ril.io.rows import load_curves, load_results
+from ril.report.paper.tables import Setting, Table, known_methods
 
 TUNING_SEEDS = 100  # settings are chosen on seeds from here up, which are not reported on
 #: Methods that see no expert: its trajectories are not theirs to vary.

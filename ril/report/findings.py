@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.report.evidence import Evidence, command, shortfall
-from ril.report.paper import ENVIRONMENTS, Cell, Setting, table
+from ril.report.paper.tables import ENVIRONMENTS, Cell, Setting, table
 from ril.report.samples import samples_to_best, samples_to_solved
 from ril.report.statistics import average_interval, mean_interval
 

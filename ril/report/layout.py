@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from ril.report.evidence import Evidence, command
 from ril.report.findings import Finding, find
-from ril.report.paper import ENVIRONMENTS, Setting, Table, table
+from ril.report.paper.tables import ENVIRONMENTS, Setting, Table, table
 from ril.report.statistics import Estimate
 
 _DIGITS = {

@@ -14,12 +14,12 @@ from urllib.parse import urlencode
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from ril.paths import docs_folder
+from ril.io.paths import docs_folder
 from ril.report import layout
-from ril.report.audit.contradictions import Contradiction
 from ril.report.deviations import documents
 from ril.report.findings import VERDICTS, Finding
-from ril.report.paper import ENVIRONMENTS, TABLES, Table
+from ril.report.paper.audit import Contradiction
+from ril.report.paper.tables import ENVIRONMENTS, TABLES, Table
 from ril.report.provenance import Run
 from ril.report.statistics import Aggregate
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from ril.report.paper import solved_return
+from ril.report.paper.tables import solved_return
 
 
 def samples_to_best(curves: pd.DataFrame) -> pd.Series[float]:

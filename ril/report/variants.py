@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ril.report.aggregates import methods
 from ril.report.evidence import Evidence, fullest, lengths
 from ril.report.layout import Grid, number, with_interval
-from ril.report.paper import ENVIRONMENTS, Setting
+from ril.report.paper.tables import ENVIRONMENTS, Setting
 from ril.report.statistics import Estimate, average_interval
 
 AS_IT_COMES = "as it comes"

@@ -10,14 +10,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from ril.errors import UserError
-from ril.files import write_atomically
+from ril.io.errors import UserError
+from ril.io.files import write_atomically
 from ril.report import aggregates
-from ril.report.audit.contradictions import audit, contradictions_grid
 from ril.report.evidence import Evidence
 from ril.report.formats import as_csv, as_latex, as_markdown, as_table, grid_as_csv
 from ril.report.layout import Grid, Results, grid, results
-from ril.report.paper import TABLES
+from ril.report.paper.audit import audit, contradictions_grid
+from ril.report.paper.tables import TABLES
 from ril.report.provenance import runs
 from ril.report.variants import variants, variants_grid
 

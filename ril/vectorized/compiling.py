@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ril.errors import one_line
+from ril.io.errors import one_line
 
 #: Updates after which compiling, half a minute the first time, has paid, whether of one seed or
 #: of ten at once: which other seeds there are is not to decide how a seed's numbers are rounded.

@@ -14,8 +14,8 @@ from typing import Any, Concatenate, Generic, TypeVar
 
 import joblib
 
-from ril.errors import UserError
-from ril.interrupts import SIGNALS
+from ril.io.errors import UserError
+from ril.io.signals import SIGNALS
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -17,7 +17,7 @@ from typing import NamedTuple
 RUN = (
     sys.executable,
     "-c",
-    "import atexit, sys; from ril.cli import main; status = '/proc/self/status'; "
+    "import atexit, sys; from ril.cli.run import main; status = '/proc/self/status'; "
     "atexit.register(lambda: print(open(status).read(), file=sys.stderr)); main()",
 )
 

@@ -15,12 +15,12 @@ from rich.console import Console
 from stable_baselines3.common.callbacks import BaseCallback
 
 from bench.clock import in_turns, seconds, table
+from ril.cli.display import ConsoleDisplay
+from ril.config.schema import Config, DQNConfig
 from ril.demonstrations.trajectories import StateTransitions
-from ril.display import ConsoleDisplay
 from ril.environments import load_environment
-from ril.experiment import run
 from ril.methods.dqn import DQN
-from ril.schema import Config, DQNConfig
+from ril.run.experiment import run
 from ril.task import Task
 
 BATCH = "method.q_learning.batch_size=64"

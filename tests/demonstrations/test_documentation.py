@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import follow_rule
+from helpers.runs import follow_rule
 
 from ril.demonstrations.files import load_demonstrations
 from ril.environments import Environment

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium.spaces import Box
+from helpers.demonstrations import Bomb, assert_pairs, refusal
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ril.collection import Episode, save
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment
-from ril.errors import UserError
+from ril.experts.collection import Episode, save
+from ril.io.errors import UserError
 
 #: Two MountainCar trajectories, of two steps and of one.
 OWN: dict[str, np.ndarray] = {
@@ -49,16 +50,6 @@ def written(path: Path, arrays: Mapping[str, Any], **changes: Any) -> Path:
     changed = {n: a for n, a in {**arrays, **changes}.items() if a is not None}
     np.savez_compressed(path, **changed)
     return path
-
-
-def refusal(path: Path, environment: Environment) -> str:
-    """The fault that is named, without the file's name."""
-    with pytest.raises(UserError) as refused:
-        load_demonstrations(path, environment)
-    prefix, _, fault = str(refused.value).partition(": ")
-    assert prefix == f"demonstrations={path}"
-    assert "\n" not in fault
-    return fault
 
 
 def assert_are_the_two(found: Demonstrations) -> None:
@@ -164,21 +155,6 @@ def episodes(draw: st.DrawFn) -> list[Episode]:
         )
         for length in draw(st.lists(st.integers(2, 6), min_size=1, max_size=5))
     ]
-
-
-def assert_pairs(
-    found: Demonstrations, environment: Environment, pairs: list[tuple[Any, Any, Any]]
-) -> None:
-    """Exactly these (s_t, a_t, s_{t+1}), in this order."""
-    seen = found.labelled(environment)
-    for array, column in zip(
-        (seen.observations, seen.actions, seen.next_observations), zip(*pairs, strict=True),
-        strict=True,
-    ):  # fmt: skip
-        expected = np.array(column)
-        np.testing.assert_array_equal(
-            array, environment.scale(expected) if expected.ndim == 2 else expected
-        )
 
 
 @each_in_turn
@@ -353,16 +329,6 @@ def test_a_single_array_is_named(tmp_path: Path, mountaincar: Environment) -> No
     path = tmp_path / "single.npy"
     np.save(path, OBSERVATIONS)
     assert refusal(path, mountaincar) == NOT_NPZ
-
-
-class Bomb:
-    """What leaves a file when it is unpickled."""
-
-    def __init__(self, leaves: Path) -> None:
-        self.leaves = leaves
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Path.touch, (self.leaves,)
 
 
 @pytest.mark.parametrize(

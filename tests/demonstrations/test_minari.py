@@ -14,11 +14,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
-from test_files import Bomb, assert_pairs, refusal
+from helpers.demonstrations import Bomb, assert_pairs, refusal
 
-from ril.collection import Episode
 from ril.demonstrations.files import load_demonstrations
 from ril.environments import Environment
+from ril.experts.collection import Episode
 
 minari = pytest.importorskip("minari")
 h5py = pytest.importorskip("h5py")

@@ -10,7 +10,7 @@ import pytest
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment
-from ril.errors import UserError
+from ril.io.errors import UserError
 
 
 @pytest.fixture

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from references import Adam, copies_of, flat_of
-from states import assert_equal_states, copied
+from helpers.references import Adam, copies_of, flat_of
+from helpers.states import assert_equal_states, copied
 from torch import Tensor, nn
 from torch.nn import functional
 
+from ril.config.schema import ConsistencyConfig
 from ril.learners.consistency import ConsistentLearning
-from ril.schema import ConsistencyConfig
 from ril.vectorized.networks import MLP, Consistent, Network, parameter_count
 from ril.vectorized.replay import Replay, random_indices
 from ril.vectorized.rollout import Episodes

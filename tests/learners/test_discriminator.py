@@ -3,20 +3,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from helpers.references import Adam, copies_of, flat_of, random_network
+from helpers.states import copied
 from hypothesis import given
 from hypothesis import strategies as st
-from references import Adam, copies_of, flat_of, random_network
-from states import copied
 from torch import Tensor
 from torch.nn import functional
 
+from ril.config.schema import DiscriminatorConfig
 from ril.learners.discriminator import (
     Discriminator,
     discriminator_loss,
     imitation_reward,
     state_action_pairs,
 )
-from ril.schema import DiscriminatorConfig
 from ril.vectorized.networks import MLP
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams

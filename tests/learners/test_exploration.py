@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from states import copied
+from helpers.states import copied
 from torch import Tensor
 
+from ril.config.schema import Config
 from ril.learners.exploration import Explorer, exploration_ratio, explore, sample_softmax
-from ril.schema import Config
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from ril.errors import UserError
+from ril.config.schema import Config
+from ril.io.errors import UserError
 from ril.learners import imitation as module
 from ril.learners.imitation import SelfSupervisedImitation
 from ril.learners.topology import mlp
-from ril.schema import Config
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.streams import Streams

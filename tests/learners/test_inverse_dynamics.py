@@ -5,13 +5,13 @@ import io
 import numpy as np
 import pytest
 import torch
-from references import Adam, copies_of, flat_of, random_network
+from helpers.references import Adam, copies_of, flat_of, random_network
 from torch import Tensor
 from torch.nn import functional
 
+from ril.config.schema import InverseDynamicsConfig
 from ril.learners.goal_sampler import Selection
 from ril.learners.inverse_dynamics import InverseDynamics
-from ril.schema import InverseDynamicsConfig
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import MLP
 from ril.vectorized.replay import Batch, random_indices

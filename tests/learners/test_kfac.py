@@ -5,13 +5,13 @@ from collections.abc import Iterator
 
 import pytest
 import torch
-from references import PlainKFAC, copies_of, flat_of, random_network, tanh_mlp
-from states import assert_equal_states, copied
+from helpers.references import PlainKFAC, copies_of, flat_of, random_network, tanh_mlp
+from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
+from ril.config.schema import KFACConfig
 from ril.learners.exploration import sample_softmax
 from ril.learners.kfac import KFAC
-from ril.schema import KFACConfig
 from ril.vectorized.networks import MLP, Network
 
 #: With a trust region that nothing leaves, and no momentum.

@@ -2,9 +2,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
-from references import (
+from helpers.references import (
     LatentActions,
     Remapping,
     fill,
@@ -12,6 +10,8 @@ from references import (
     linear_flat_of,
     random_network,
 )
+from hypothesis import given
+from hypothesis import strategies as st
 from torch import Tensor
 
 from ril.learners.latent_policy import (

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from references import Adam, copies_of, flat_of
-from states import assert_equal_states, copied
+from helpers.references import Adam, copies_of, flat_of
+from helpers.states import assert_equal_states, copied
 from torch.nn import functional
 
+from ril.config.schema import Config
 from ril.environments import Environment
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.learners.online_q_learning import OnlineQLearning
 from ril.learners.q_learning import QLearning
-from ril.schema import Config
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.streams import Streams

@@ -8,15 +8,15 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from helpers.states import assert_equal_states, copied
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
-from states import assert_equal_states, copied
 from torch import Tensor
 
+from ril.config.schema import PPOConfig
 from ril.environments import Environment
 from ril.learners.ppo import PPOAgent, actor_topology
-from ril.schema import PPOConfig
 from ril.vectorized.networks import Network
 from ril.vectorized.stepping import SteppedEnvironments
 

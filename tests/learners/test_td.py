@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from helpers.references import copies_of, random_network
 from hypothesis import given
 from hypothesis import strategies as st
-from references import copies_of, random_network
 from torch.nn import functional
 
 from ril.learners.td import n_step, taken, td_errors, td_losses, td_targets

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from references import PlainKFAC, copies_of, flat_of
+from helpers.references import PlainKFAC, copies_of, flat_of
 from torch import Tensor, nn
 
+from ril.config.schema import ACKTRConfig, Config
 from ril.methods.acktr import ACKTR, standardise_inputs
-from ril.schema import ACKTRConfig, Config
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.stepping import SteppedEnvironments

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from references import Adam, copies_of, flat_of
+from helpers.references import Adam, copies_of, flat_of
 from torch.nn import functional
 
+from ril.config.schema import Config
 from ril.methods.bc import BC
-from ril.schema import Config
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import random_indices

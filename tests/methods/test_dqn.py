@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from ril.evaluation import Evaluation
+from ril.config.schema import Config
 from ril.methods.base import Progress
 from ril.methods.dqn import DQN
-from ril.schema import Config
+from ril.run.evaluation import Evaluation
 from ril.task import Task
 from ril.vectorized.networks import MLP, Dueling
 

@@ -14,19 +14,19 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import Silence
-from states import assert_equal_states, copied
+from helpers.runs import Silence
+from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.collection import Episode, save
-from ril.config import run_id
+from ril.config.checks import run_id
+from ril.config.schema import METHOD_CONFIGS, Config
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.environments import Environment
-from ril.experiment import run
+from ril.experts.collection import Episode, save
 from ril.methods.base import Method, Progress
 from ril.methods.registry import METHODS
 from ril.policy import load_policy
-from ril.schema import METHOD_CONFIGS, Config
+from ril.run.experiment import run
 from ril.task import Task
 from ril.vectorized.streams import Streams
 

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from references import Adam, copies_of, flat_of
+from helpers.references import Adam, copies_of, flat_of
 from torch.nn import functional
 
-from ril.errors import UserError
+from ril.config.schema import Config, PPOConfig
+from ril.io.errors import UserError
 from ril.learners.ppo import PPOAgent
 from ril.methods.gail import GAIL
-from ril.schema import Config, PPOConfig
 from ril.task import Task
 from ril.vectorized.streams import Streams
 

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from references import LatentActions, Remapping, fill, linear_flat_of
+from helpers.references import LatentActions, Remapping, fill, linear_flat_of
 from torch import Tensor
 from torch.nn import functional
 
-from ril.errors import UserError
+from ril.config.schema import Config
+from ril.io.errors import UserError
 from ril.methods.ilpo import ILPO
-from ril.schema import Config
 from ril.task import Task
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
+from ril.config.schema import Config
 from ril.methods.iupe import IUPE
 from ril.methods.ril import RIL
-from ril.schema import Config
 from ril.task import Task
 
 MakeTask = Callable[[Config], Task]

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from states import assert_equal_states, copied
+from helpers.states import assert_equal_states, copied
 
+from ril.config.schema import Config
 from ril.environments import Environment
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.learners.ppo import PPOAgent
 from ril.methods.gail import GAIL
 from ril.methods.ppo import PPO
-from ril.schema import Config
 from ril.task import Task
 
 Make = Callable[..., Any]

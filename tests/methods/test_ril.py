@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from states import assert_equal_states, copied
+from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
+from ril.config.schema import Config
 from ril.demonstrations.files import shipped_path
-from ril.evaluation import Evaluation
 from ril.learners.cloning import Cloning
 from ril.learners.exploration import exploration_ratio, explore, sample_softmax
 from ril.learners.goal_sampler import select
@@ -18,7 +18,7 @@ from ril.learners.inverse_dynamics import InverseDynamics
 from ril.learners.q_learning import QLearning
 from ril.methods.base import Progress
 from ril.methods.ril import RIL
-from ril.schema import Config
+from ril.run.evaluation import Evaluation
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import Replay

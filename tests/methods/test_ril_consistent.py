@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import Silence
-from states import assert_equal_states, copied
+from helpers.runs import Silence
+from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.errors import UserError
-from ril.evaluation import Evaluation
-from ril.experiment import run
+from ril.config.schema import Config
+from ril.io.errors import UserError
 from ril.learners.consistency import ConsistentLearning
 from ril.learners.exploration import Explorer
 from ril.learners.imitation import SelfSupervisedImitation
@@ -22,7 +21,8 @@ from ril.learners.td import n_step
 from ril.methods.base import Progress
 from ril.methods.ril import RIL
 from ril.methods.ril_consistent import ConsistentRIL
-from ril.schema import Config
+from ril.run.evaluation import Evaluation
+from ril.run.experiment import run
 from ril.task import Task
 from ril.vectorized.networks import MLP, Consistent, Network
 from ril.vectorized.replay import Replay

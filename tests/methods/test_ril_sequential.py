@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from states import assert_equal_states, copied
+from helpers.states import assert_equal_states, copied
 
-from ril.errors import UserError
+from ril.config.schema import Config
+from ril.io.errors import UserError
 from ril.learners.exploration import exploration_ratio
 from ril.learners.online_q_learning import OnlineQLearning
 from ril.methods.base import Progress
 from ril.methods.ril import RIL
 from ril.methods.ril_sequential import SequentialRIL
-from ril.schema import Config
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.streams import Streams

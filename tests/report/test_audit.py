@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import ril.report
-from ril.report.audit.contradictions import Contradiction, audit, contradictions_grid
-from ril.report.audit.printed import Printed, agree, reach, rounded
+from ril.report.paper.audit import Contradiction, audit, contradictions_grid
+from ril.report.paper.printed import Printed, agree, reach, rounded
 
-PAPER = (Path(ril.report.__file__).parent / "paper.yaml").read_text(encoding="utf-8")
+PAPER = (Path(ril.report.__file__).parent / "paper" / "tables.yaml").read_text(encoding="utf-8")
 IUPE_P = "IUPE: {cartpole: [0.26, 0.02], acrobot: [0.55, 0.16]"
 
 

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from made_rows import rows
+from helpers.made_rows import rows
 
 from ril.report.beside import paper_cell
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ril.paths import docs_folder
+from ril.io.paths import docs_folder
 from ril.report.deviations import documents
 
 

@@ -5,12 +5,12 @@ import shlex
 import hydra
 import pandas as pd
 import pytest
-from made_rows import ALONE, evidence, rows, setting
+from helpers.made_rows import ALONE, evidence, rows, setting
 
-from ril.cli import store_schemas
-from ril.paths import config_folder
+from ril.cli.run import store_schemas
+from ril.io.paths import config_folder
 from ril.report.evidence import Evidence, command, fullest, shortfall
-from ril.report.paper import TABLES, Setting, table
+from ril.report.paper.tables import TABLES, Setting, table
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from made_rows import ALONE, cell_of, evidence, found
+from helpers.made_rows import ALONE, cell_of, evidence, found
 
 from ril.report.findings import find, verdict
 

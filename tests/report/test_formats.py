@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from made_rows import ALONE, evidence
+from helpers.made_rows import ALONE, evidence
 from rich.console import Console
 
-from ril.report.audit.contradictions import audit, contradictions_grid
 from ril.report.evidence import Evidence
 from ril.report.formats import as_csv, as_latex, as_markdown, as_table, grid_as_csv
 from ril.report.layout import Grid, grid, results
+from ril.report.paper.audit import audit, contradictions_grid
 
 GOLDEN = Path(__file__).parent / "golden"
 ENVIRONMENTS = {"cartpole": 490.0, "acrobot": -80.0, "mountaincar": -101.0, "lunarlander": 150.0}

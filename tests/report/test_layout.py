@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from made_rows import evidence
+from helpers.made_rows import evidence
 
 from ril.report.layout import Grid, grid, notes, results
 

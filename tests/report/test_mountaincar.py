@@ -11,16 +11,15 @@ import pandas as pd
 import pytest
 import torch
 from gymnasium.envs.classic_control.mountain_car import MountainCarEnv
+from helpers.references import random_network
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
-from references import random_network
 from scipy.special import softmax
 from scipy.stats import entropy
 
 from ril.environments import Environment
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.policy import load_policy, save_policies
-from ril.record import Record
 from ril.report.figures.mountaincar import (
     COLOURS,
     action_distributions,
@@ -44,6 +43,7 @@ from ril.report.mountaincar import (
     play,
     step,
 )
+from ril.run.record import Record
 from ril.vectorized.networks import MLP
 
 ALL_STATES = cells().reshape(-1, 2)

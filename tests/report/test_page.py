@@ -7,13 +7,13 @@ from functools import cache
 from html.parser import HTMLParser
 
 import pytest
-from made_report import HOSTILE, RUN, SVG, sample
-from made_rows import ALONE
+from helpers.made_report import HOSTILE, RUN, SVG, sample
+from helpers.made_rows import ALONE
 
-from ril.paths import docs_folder
-from ril.report.audit.contradictions import Contradiction
+from ril.io.paths import docs_folder
 from ril.report.deviations import documents
 from ril.report.page import Drawn, page
+from ril.report.paper.audit import Contradiction
 
 VOID = {"meta", "br", "input", "link", "hr"}
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from ril.report.paper import TABLES, known_methods, solved_return, table
-from ril.schema import METHOD_CONFIGS
+from ril.config.schema import METHOD_CONFIGS
+from ril.report.paper.tables import TABLES, known_methods, solved_return, table
 
 #: How many numbers each table prints, counted by hand.
 PRINTED = dict(zip(TABLES, (10, 63, 20, 45, 10, 40, 28, 16, 13), strict=True))

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from made_rows import rows
+from helpers.made_rows import rows
 
 from ril.report.provenance import Run, runs
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_rows import evidence
+from helpers.made_rows import evidence
 
 from ril.report.figures.variants import changes
 from ril.report.formats import as_markdown

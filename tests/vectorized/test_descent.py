@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from states import copied
+from helpers.states import copied
 from torch import Tensor
 
+from ril.config.schema import Config, QLearningConfig
 from ril.learners.online_q_learning import OnlineQLearning
 from ril.learners.q_learning import QLearning
 from ril.methods.ril import RIL
-from ril.schema import Config, QLearningConfig
 from ril.task import Task
 from ril.vectorized import compiling
 from ril.vectorized.compiling import compiled, worth_compiling

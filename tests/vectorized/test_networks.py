@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 import torch
+from helpers.references import SelfAttention, copies_of, flat_of, gradients_of, random_network
 from hypothesis import given
 from hypothesis import strategies as st
-from references import SelfAttention, copies_of, flat_of, gradients_of, random_network
 from torch import nn
 
 from ril.vectorized.networks import (

@@ -6,10 +6,10 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import torch
+from helpers.states import assert_equal_states, copied
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from states import assert_equal_states, copied
 
 from ril.vectorized import priorities as module
 from ril.vectorized.priorities import Priorities

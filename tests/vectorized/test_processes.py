@@ -11,7 +11,7 @@ import pytest
 import torch
 from joblib import Parallel, delayed
 
-from ril.errors import UserError
+from ril.io.errors import UserError
 from ril.vectorized.processes import Spread, usable_processes
 
 

@@ -6,10 +6,10 @@ from collections import deque
 import numpy as np
 import pytest
 import torch
+from helpers.states import assert_equal_states
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from states import assert_equal_states
 
 from ril.vectorized.replay import Replay, random_indices
 from ril.vectorized.rollout import Episodes

@@ -6,8 +6,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from ril.config.schema import EnvironmentConfig
 from ril.environments import Environment, load_environment
-from ril.schema import EnvironmentConfig
 from ril.vectorized.rollout import Environments, Episodes
 
 NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")

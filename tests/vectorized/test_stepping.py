@@ -5,12 +5,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from helpers.states import assert_equal_states, copied
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from states import assert_equal_states, copied
 
+from ril.config.schema import EnvironmentConfig
 from ril.environments import Environment, load_environment
-from ril.schema import EnvironmentConfig
 from ril.vectorized.copies import Copies, make_copies
 from ril.vectorized.stepping import Step, SteppedEnvironments
 

@@ -4,7 +4,7 @@ import io
 
 import pytest
 import torch
-from references import Adam, copies_of, flat_of, gradients_of, random_network
+from helpers.references import Adam, copies_of, flat_of, gradients_of, random_network
 from torch import Tensor
 
 from ril.vectorized.networks import MLP, Network

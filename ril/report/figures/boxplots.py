@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from ril.report.figures.style import INK, SMALL, WIDTH, Reference, house_style, look, name_rows
-from ril.report.paper import ENVIRONMENTS
+from ril.report.paper.tables import ENVIRONMENTS
 
 Reported = tuple[float, float | None]  # the paper's mean and ±
 

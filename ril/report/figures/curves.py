@@ -14,7 +14,7 @@ from matplotlib.ticker import EngFormatter, NullFormatter
 from scipy.stats import bootstrap
 
 from ril.report.figures.style import INK, SMALL, WIDTH, Reference, house_style, look
-from ril.report.paper import ENVIRONMENTS
+from ril.report.paper.tables import ENVIRONMENTS
 
 _POINTS = 100  # of a line: as fine as it can be seen
 

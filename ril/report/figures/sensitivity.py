@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
 from ril.report.figures.style import INK, WIDTH, house_style, look
-from ril.report.paper import ENVIRONMENTS
+from ril.report.paper.tables import ENVIRONMENTS
 from ril.report.statistics import mean_interval
 
 

@@ -15,7 +15,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ril.files import write_atomically
+from ril.io.files import write_atomically
 
 #: All text, axes and ticks. A page replaces it by its own ink, so no data may have it but
 #: what should follow the page too: the paper's numbers and the references.

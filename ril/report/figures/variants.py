@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from ril.report.figures.style import INK, WIDTH, house_style, look, name_rows
-from ril.report.paper import ENVIRONMENTS
+from ril.report.paper.tables import ENVIRONMENTS
 from ril.report.variants import Variant
 
 

@@ -8,7 +8,7 @@ from matplotlib.text import Text
 
 from ril.report.figures.boxplots import boxplots
 from ril.report.figures.style import INK, Reference, look
-from ril.report.paper import ENVIRONMENTS
+from ril.report.paper.tables import ENVIRONMENTS
 
 OURS = {
     "BC": {"acrobot": [-90.0, -110.0, -95.0], "lunarlander": [10.0, -900.0, -50.0]},

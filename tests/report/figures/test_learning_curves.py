@@ -9,7 +9,7 @@ from matplotlib.text import Text
 
 from ril.report.figures.curves import learning_curves, stepwise
 from ril.report.figures.style import INK, Reference, look
-from ril.report.paper import ENVIRONMENTS
+from ril.report.paper.tables import ENVIRONMENTS
 
 REFERENCES = {env: Reference(-200.0, -100.0, -110.0) for env in ENVIRONMENTS}
 

@@ -1,0 +1,1 @@
+"""The commands ril-run, ril-report and ril-expert; the one package that knows Hydra."""

@@ -1,0 +1,72 @@
+"""`ril-expert`: train an expert to a given return and save its trajectories."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import cast
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from ril.cli.command import MISTAKES, refuse, run_command
+from ril.experts.make import make_expert
+from ril.experts.training import ExpertConfig, OnStep
+from ril.io.errors import UserError
+
+
+@contextmanager
+def _progress(config: ExpertConfig, console: Console) -> Iterator[OnStep]:
+    """A bar on a terminal; a line per evaluation elsewhere, such as in a log file."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("steps, mean return {task.fields[mean]}"),
+        TimeElapsedColumn(),
+    )
+    started = time.monotonic()
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(config.env.name, total=config.total_timesteps, mean="…")
+
+        def on_step(steps: int, mean: float | None) -> None:
+            bar.update(task, completed=steps)
+            if mean is None:
+                return
+            bar.update(task, mean=f"{mean:.2f}")
+            if not console.is_terminal:
+                elapsed = time.monotonic() - started
+                console.print(f"{steps:>9,} steps  mean return {mean:.2f}  {elapsed:.0f} s")
+
+        yield on_step
+
+
+def _run(composed: DictConfig) -> None:
+    """One expert."""
+    try:
+        for key in sorted(OmegaConf.missing_keys(composed)):
+            raise UserError(f"{key}: must be given")
+        config = cast(ExpertConfig, OmegaConf.to_object(composed))
+        console = Console(highlight=False)
+        command = " ".join(["ril-expert", *HydraConfig.get().overrides.task])
+        with _progress(config, console) as on_step:
+            record = make_expert(config, command, on_step)
+    except MISTAKES as error:
+        refuse(error)  # here already: Hydra says a line of its own of what leaves a job
+    returns, first = record["returns"], record["first"]
+    console.print(
+        f"{config.output}: {record['episodes']} episodes, return {returns['mean']:.2f} ± "
+        f"{returns['std']:.2f} after {record['steps_trained']:,} steps; the first has length "
+        f"{first['length']} and return {first['return']:.2f}",
+        soft_wrap=True,
+    )
+
+
+def main() -> None:
+    """The console command; a mistake of the user's is one line on stderr and exit status 1."""
+    ConfigStore.instance().store(name="expert_schema", node=ExpertConfig)
+    run_command("expert", _run, stopped="ril-expert: stopped, nothing was written")

@@ -1,0 +1,1 @@
+"""Train an expert to a given return and collect its trajectories."""

@@ -1,0 +1,1 @@
+"""The paper as data: its tables, its claims, and where they contradict each other."""

@@ -1,0 +1,90 @@
+"""Where a run's numbers come from: code, versions, machine, command."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+_LIBRARIES = ("torch", "numpy", "gymnasium", "stable-baselines3", "hydra-core", "pandas")
+_PACKAGE = Path(__file__).parents[1]
+#: Packages whose code no number of a run can depend on.
+_SHOWS_ONLY = ("report", "cli")
+
+
+def commit() -> str:
+    """The checkout's commit, with "-dirty" if it has changes; "" where ril is installed."""
+    root = _PACKAGE.parent
+    if not (root / ".git").exists():
+        return ""
+    try:
+        head = _git(root, "rev-parse", "--short=12", "HEAD")
+        return head + ("-dirty" if _git(root, "status", "--porcelain", "--", "ril", "conf") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
+def command() -> str:
+    """The command line, as it can be given again."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def origin(identifier: str) -> dict[str, str]:
+    """What must not change between a run's stop and its going on, lest its rows be a mixture.
+
+    Args:
+        identifier: of the run.
+    """
+    return {
+        "run_id": identifier,
+        "ril": version("ril"),
+        "code": _code(),
+        **{name: version(name) for name in _LIBRARIES[:4]},
+    }
+
+
+def _code() -> str:
+    """A digest of the code that numbers come from, with changes that are not committed."""
+    digest = hashlib.sha256()
+    for file in sorted(_PACKAGE.rglob("*.py")):
+        name = file.relative_to(_PACKAGE)
+        if name.parts[0] not in _SHOWS_ONLY:
+            digest.update(f"{name.as_posix()}\0".encode() + file.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
+    """What `provenance.json` holds at the start of a run."""
+    return {
+        "command": command(),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "ril": version("ril"),
+        "commit": commit(),
+        "python": platform.python_version(),
+        "versions": {name: version(name) for name in _LIBRARIES},
+        "platform": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "demonstrations": {"file": demonstrations.name, "sha256": sha256},
+    }
+
+
+def _git(root: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(root), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def _processor() -> str:
+    """The processor's name, as Linux knows it or as Python does."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)
+    except (OSError, StopIteration):
+        return platform.processor()

@@ -1,0 +1,173 @@
+"""Processes that are killed while they run a cell, and what is left when it has gone on."""
+
+from __future__ import annotations
+
+import io
+import multiprocessing
+import os
+import re
+import shutil
+import signal
+import time
+from collections.abc import Callable
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from rich.console import Console
+
+from ril.cli.display import ConsoleDisplay
+from ril.config.schema import Config
+from ril.io import files
+from ril.run import training
+from ril.run.experiment import run
+
+# A server that has imported everything, of which each start is a fork.
+CONTEXT = multiprocessing.get_context("forkserver")
+CONTEXT.set_forkserver_preload(
+    [
+        "pytest",
+        "torch._dynamo",
+        "ril.cli.display",
+        "ril.run.experiment",
+        "gymnasium.envs.classic_control",
+    ]
+    + [f"ril.methods.{name}" for name in ("bc", "dqn", "gail", "iupe", "ppo", "ril")]
+)
+
+
+def start(target: Callable[..., None], *arguments: Any) -> BaseProcess:
+    process = CONTEXT.Process(target=target, args=arguments)
+    process.start()
+    return process
+
+
+def run_to_the_end(config: Config) -> None:
+    """What the processes do: a run with a checkpoint after each epoch."""
+    torch.set_num_threads(1)
+    training.CHECKPOINT_SECONDS = 0.0
+    run(config, ConsoleDisplay(Console(file=io.StringIO()), live=False))
+
+
+def run_and_say(config: Config, says: Path) -> None:
+    """The same, with what it says in a file."""
+    torch.set_num_threads(1)
+    with says.open("w") as file:
+        run(config, ConsoleDisplay(Console(file=file, width=300), live=False))
+
+
+def run_and_die(config: Config, number: int) -> None:
+    """The same, but killed just before it writes, renames or removes a file for the nth time."""
+    left = iter(range(number, 0, -1))
+
+    def or_die(act: Callable[..., Any]) -> Callable[..., Any]:
+        def acts(*arguments: Any, **options: Any) -> Any:
+            if next(left, 1) == 1:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return act(*arguments, **options)
+
+        return acts
+
+    files.os.fsync = or_die(os.fsync)
+    for name in ("replace", "unlink", "rmdir"):
+        setattr(Path, name, or_die(getattr(Path, name)))
+    run_to_the_end(config)
+
+
+def left_by(folder: Path) -> tuple[str, str, list[str]]:
+    """Rows but for their time, the curve, and which files there are."""
+    rows = pd.read_csv(folder / "results.csv", dtype=str).drop(columns="wall_seconds")
+    curve = (folder / "curve.csv").read_text() if (folder / "curve.csv").exists() else ""
+    return rows.to_csv(), curve, sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def cell(quick: Any, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Config]:
+    """A cell of a second, in an output folder of its own."""
+
+    def made(*overrides: str) -> Config:
+        config: Config = quick(*overrides)
+        config.output_dir = str(tmp_path_factory.mktemp("outputs"))
+        return config
+
+    return made
+
+
+def only_run(config: Config) -> Path:
+    [path] = Path(config.output_dir).rglob("results.csv")
+    return path.parent
+
+
+METHODS = {
+    "bc": ("method.epochs=12",),
+    "dqn": ("method.total_timesteps=40", "evaluation.every=10%"),
+    "iupe": ("method.epochs=12",),
+    "ril": ("method.epochs=12",),
+}
+KILLS = 20
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_run_killed_at_random_moments_leaves_what_an_uninterrupted_one_does(
+    cell: Callable[..., Config], name: str
+) -> None:
+    uninterrupted, killed = (cell(f"method={name}", *METHODS[name]) for _ in range(2))
+    for _ in range(2):  # the first also starts the server
+        shutil.rmtree(uninterrupted.output_dir)
+        began = time.monotonic()
+        start(run_to_the_end, uninterrupted).join()
+        seconds = time.monotonic() - began
+    expected = left_by(only_run(uninterrupted))
+
+    moments, kills = np.random.default_rng(0), 0
+    while True:
+        process = start(run_to_the_end, killed)
+        process.join(moments.uniform(0, seconds) if kills < KILLS else None)
+        if process.exitcode is None:
+            process.kill()
+            process.join()
+            kills += 1
+            continue
+        assert process.exitcode == 0
+        assert left_by(only_run(killed)) == expected
+        if kills == KILLS:
+            return
+        shutil.rmtree(killed.output_dir)
+
+
+@pytest.mark.parametrize("method", ["bc", "gail", "ppo", "ril"])
+def test_a_run_killed_before_each_of_its_writes_leaves_what_an_uninterrupted_one_does(
+    cell: Callable[..., Config], method: str
+) -> None:
+    uninterrupted, killed = (cell(f"method={method}") for _ in range(2))
+    start(run_to_the_end, uninterrupted).join()
+    number = 0
+    while True:
+        number += 1
+        process = start(run_and_die, killed, number)
+        process.join()
+        if process.exitcode == 0:
+            break
+        assert process.exitcode == -signal.SIGKILL
+    assert number > 5
+    assert left_by(only_run(killed)) == left_by(only_run(uninterrupted))
+
+
+def test_of_two_processes_asked_for_a_cell_at_once_one_runs_it(
+    cell: Callable[..., Config], tmp_path: Path
+) -> None:
+    config, files = cell("method.epochs=30"), [tmp_path / "one", tmp_path / "two"]
+    processes = [start(run_and_say, config, file) for file in files]
+    for process in processes:
+        process.join()
+        assert process.exitcode == 0
+    first, second = sorted((file.read_text() for file in files), key=lambda text: "waiting" in text)
+    assert "scoring" in first
+    assert "waiting" not in first
+    assert re.search(r"process \d+ on .* runs it already; waiting for its rows", second)
+    assert "scoring" not in second
+    assert "finished before, so not run again" in second
