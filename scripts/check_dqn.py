@@ -25,10 +25,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from ril.config.schema import Config, DQNConfig
+from ril.config.schema import Config
 from ril.demonstrations.trajectories import StateTransitions
 from ril.environments import Environment, load_environment
-from ril.methods.dqn import DQN
+from ril.methods.dqn import DQN, DQNConfig
 from ril.run.evaluation import Evaluation
 from ril.task import Task
 

@@ -25,6 +25,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
 
+from ril.config.schema import EnvironmentConfig
+
 sys.modules["torch.utils.tensorboard"] = ModuleType("torch.utils.tensorboard")
 
 import gymnasium as gym  # noqa: E402
@@ -39,7 +41,6 @@ from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 
-from ril.config.schema import EnvironmentConfig  # noqa: E402
 from ril.environments import Environment, load_environment  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -9,9 +9,10 @@ from stable_baselines3 import DQN
 
 from ril.cli.run import store_schemas
 from ril.config.checks import from_hydra
-from ril.config.schema import Config, DQNConfig
+from ril.config.schema import Config
 from ril.environments import Environment
 from ril.io.paths import config_folder
+from ril.methods.dqn import DQNConfig
 
 
 def composed(*overrides: str) -> Config:

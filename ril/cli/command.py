@@ -18,7 +18,6 @@ from hydra.errors import HydraException, MissingConfigException, OverrideParseEx
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from ril.config.schema import METHOD_CONFIGS
 from ril.io.errors import UserError, one_line
 from ril.io.paths import config_folder
 

@@ -25,7 +25,7 @@ from ril.cli.command import (
     run_command,
 )
 from ril.config.checks import from_hydra, leaves
-from ril.config.schema import METHOD_CONFIGS, Config
+from ril.config.schema import Config
 from ril.io.errors import UserError
 from ril.io.paths import config_folder
 

@@ -13,15 +13,11 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from ril.config.schema import (
-    BCConfig,
-    Config,
-    HalvesConfig,
-    OnlineQLearningConfig,
-    ReinforcementConfig,
-    RILSequentialConfig,
-)
+from ril.config.schema import Config
 from ril.io.errors import UserError
+from ril.learners.online_q_learning import OnlineQLearningConfig
+from ril.methods.bc import BCConfig
+from ril.methods.ril_sequential import RILSequentialConfig
 
 #: Keys that cannot change a number; the demonstrations enter by their content.
 _NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes", "logging")

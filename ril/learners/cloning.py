@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import CloningConfig
 from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, Parameters
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
+
+
+@dataclass
+class CloningConfig:
+    """π_φ's imitation half (Alg. 1, line 9)."""
+
+    learning_rate: float = MISSING
+    updates: int = MISSING
+    batch_size: int = MISSING
+    gradient_clip: float | None = MISSING
 
 
 class Cloning:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import ConsistencyConfig
+from ril.config.fields import at_least, within
+from ril.learners.q_learning import TemporalDifferenceConfig
 from ril.learners.td import n_step, taken, td_losses, td_targets
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import Consistent, Network, Parameters, by_name, parameter_count
@@ -18,6 +21,24 @@ from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
+
+
+@dataclass
+class ConsistencyConfig(TemporalDifferenceConfig):
+    """Both halves in one descent, of `ril_consistent`."""
+
+    anneal: bool = MISSING
+    n_steps: int = MISSING
+    tau: float = within(1e-6, 1)
+    value_hidden: list[int] = MISSING
+    value_scale: float = MISSING
+    temperature: float = MISSING
+    gap: float | None = MISSING
+    imitation_weight: float = at_least(0)
+    min_confidence: float = within(0, 1)
+    fade: bool = MISSING
+    replay_trajectories: float = MISSING
+    replay_recent: float | None = MISSING
 
 
 class ConsistentLearning:

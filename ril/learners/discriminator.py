@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from omegaconf import MISSING
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config.schema import DiscriminatorConfig
+from ril.config.fields import one_of
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import at, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
+
+
+@dataclass
+class DiscriminatorConfig:
+    """GAIL's discriminator, and what it pays."""
+
+    hidden: list[int] = MISSING
+    learning_rate: float = MISSING
+    updates: int = MISSING
+    batch_size: int = MISSING
+    reward: str = one_of("positive", "negative")
 
 
 def state_action_pairs(observations: Tensor, actions: Tensor, action_count: int) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.config.schema import ExplorationConfig
+from ril.config.fields import one_of, within
 from ril.environments import Floats, Integers
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.streams import Streams
+
+
+@dataclass
+class ExplorationConfig:
+    """ε and what exploring means (§3.4)."""
+
+    epsilon: float | None = within(0, 1)
+    kind: str = one_of("softmax", "uniform")
 
 
 def sample_softmax(logits: Tensor, uniform: Tensor) -> Tensor:

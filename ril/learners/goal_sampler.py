@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from omegaconf import MISSING
 
+from ril.config.fields import one_of
 from ril.vectorized.replay import Batch, Replay
+
+
+@dataclass
+class GoalSamplerConfig:
+    """Line 14: where I^s comes from."""
+
+    pre_steps_per_action: int = MISSING
+    memory: str = one_of("run", "epoch", "none")
+    upper_limit: bool = MISSING
+    keep_pre: bool = MISSING
 
 
 def positive_limit(epoch: float, n: float, k: float) -> float:

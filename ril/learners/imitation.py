@@ -3,30 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import GoalConfig, IUPEConfig
+from ril.config.fields import part
+from ril.config.schema import GoalConfig, MethodConfig
 from ril.environments import Floats, Integers, reaches_goal
 from ril.io.errors import UserError
-from ril.learners.cloning import Cloning
-from ril.learners.exploration import exploration_ratio, sample_softmax
-from ril.learners.goal_sampler import select
-from ril.learners.inverse_dynamics import InverseDynamics
-from ril.learners.stopping import StoppingRule
+from ril.learners.cloning import Cloning, CloningConfig
+from ril.learners.exploration import ExplorationConfig, exploration_ratio, sample_softmax
+from ril.learners.goal_sampler import GoalSamplerConfig, select
+from ril.learners.inverse_dynamics import InverseDynamics, InverseDynamicsConfig
+from ril.learners.stopping import StoppingConfig, StoppingRule
 from ril.learners.td import taken
-from ril.learners.topology import mlp
+from ril.learners.topology import NetworkConfig, mlp
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.streams import Streams
+
+
+@dataclass
+class ImitationConfig(MethodConfig):
+    """What self-supervised imitation needs; all that `method=iupe` has."""
+
+    epochs: int = MISSING
+    episodes: int = MISSING
+    network: NetworkConfig = part(NetworkConfig)
+    inverse_dynamics: InverseDynamicsConfig = part(InverseDynamicsConfig)
+    cloning: CloningConfig = part(CloningConfig)
+    exploration: ExplorationConfig = part(ExplorationConfig)
+    goal_sampler: GoalSamplerConfig = part(GoalSamplerConfig)
+    stopping: StoppingConfig = part(StoppingConfig)
+
 
 _PRE_COPIES = 10  # environments per seed that fill I^pre side by side
 _CHUNK = 8192  # expert states of each seed that go through a network at once
@@ -47,7 +64,7 @@ class SelfSupervisedImitation:
             first, and not saved, as each epoch makes it anew.
     """
 
-    def __init__(self, config: IUPEConfig, task: Task, policy: Network) -> None:
+    def __init__(self, config: ImitationConfig, task: Task, policy: Network) -> None:
         self.config = config
         self.task = task
         self.policy = policy

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import InverseDynamicsConfig
+from ril.config.fields import one_of
 from ril.learners.goal_sampler import Selection
 from ril.vectorized.descent import descent
 from ril.vectorized.losses import cross_entropy
@@ -15,6 +17,19 @@ from ril.vectorized.networks import Network, Parameters
 from ril.vectorized.replay import Batch, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
+
+
+@dataclass
+class InverseDynamicsConfig:
+    """M_θ, its training (Alg. 1, line 7) and its labels (line 8)."""
+
+    inputs: str = one_of("states", "change")
+    standardise: Any = one_of("change", True, False)  # change, or all inputs: true or false
+    learning_rate: float = MISSING
+    updates: int = MISSING
+    batch_size: int = MISSING
+    gradient_clip: float | None = MISSING
+    labels: str = one_of("argmax", "sample")
 
 
 class InverseDynamics:

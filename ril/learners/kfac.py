@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
+from omegaconf import MISSING
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config.schema import KFACConfig
+from ril.config.fields import within
 from ril.io.errors import UserError
 from ril.vectorized.networks import MLP, Network, apply_linear
+
+
+@dataclass
+class KFACConfig:
+    """Steps of K-FAC within a trust region; of ACKTR's actor or its critic."""
+
+    learning_rate: float = MISSING
+    kl_clip: float = MISSING
+    momentum: float = within(0, 0.9999)
+    damping: float = MISSING
+    stats_decay: float = within(0, 0.9999)
+    eigen_interval: int = MISSING
 
 
 def aligned(x: Tensor) -> Tensor:

@@ -10,10 +10,27 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
+from omegaconf import MISSING
 from torch import Tensor
 from torch.nn import functional
 
+from ril.config.fields import at_least, one_of, within
 from ril.vectorized.networks import Parameters, apply_linear, linear
+
+
+@dataclass
+class LatentPolicyConfig:
+    """ILPO's first step: a policy over latent actions, and what each of them does."""
+
+    encoder: list[int] = MISSING
+    generator: int = MISSING
+    latents: int | None = MISSING
+    changes: str = one_of("raw", "scaled", "standardised")
+    negative_slope: float = at_least(0)
+    learning_rate: float = MISSING
+    beta1: float = within(0, 0.9999)
+    updates: int = MISSING
+    batch_size: int = MISSING
 
 
 class Predictions(NamedTuple):

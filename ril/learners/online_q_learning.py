@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from omegaconf import MISSING
 
-from ril.config.schema import OnlineQLearningConfig
+from ril.config.fields import at_least, part, within
 from ril.environments import Floats, Integers
 from ril.io.errors import UserError
 from ril.learners.exploration import sample_softmax
-from ril.learners.q_learning import QLearning
+from ril.learners.q_learning import QLearning, TargetNetworkConfig
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network
@@ -20,6 +22,26 @@ from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
+
+
+@dataclass
+class ReplayConfig:
+    """What is remembered, and what is drawn of it."""
+
+    capacity: int | None = MISSING
+    alpha: float = at_least(0)
+    beta: float = within(0, 1)
+
+
+@dataclass
+class OnlineQLearningConfig(TargetNetworkConfig):
+    """Q-learning while acting, for a number of steps."""
+
+    double: bool = MISSING
+    train_freq: int = MISSING
+    learning_starts: int = at_least(0)
+    replay: ReplayConfig = part(ReplayConfig)
+
 
 Metrics = dict[str, NDArray[np.float64]]
 EPOCHS = 1000  # into which methods cut a budget, for looks, checkpoints and display

@@ -7,23 +7,41 @@ import random
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import MISSING
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 
-from ril.config.schema import PPOConfig
+from ril.config.fields import at_least, within
 from ril.environments import Environment, Floats, Integers
 from ril.io.errors import UserError
 from ril.learners.stable_baselines import Normalised, StableBaselinesEnvironments
 from ril.learners.topology import tanh_mlp
 from ril.vectorized.networks import MLP
 from ril.vectorized.stepping import SteppedEnvironments
+
+
+@dataclass
+class PPOConfig:
+    """Stable-Baselines3's PPO, by its own names; `hidden` of policy and value function each."""
+
+    hidden: list[int] = MISSING
+    n_envs: int = MISSING
+    n_steps: int = MISSING
+    batch_size: int = MISSING
+    n_epochs: int = MISSING
+    learning_rate: float = MISSING
+    gamma: float = within(0, 1)
+    gae_lambda: float = within(0, 1)
+    clip_range: float = MISSING
+    ent_coef: float = at_least(0)
 
 
 def actor_topology(config: PPOConfig, environment: Environment) -> MLP:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import TargetNetworkConfig
+from ril.config.fields import at_least, one_of, within
 from ril.learners.td import td_errors, td_losses
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import Network, Parameters, by_name
@@ -18,6 +20,25 @@ from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
+
+
+@dataclass
+class TemporalDifferenceConfig:
+    """Q-learning from replay (eq. 1)."""
+
+    learning_rate: float = MISSING
+    updates: int = MISSING
+    batch_size: int = MISSING
+    gradient_clip: float | None = MISSING
+    discount: float = within(0, 1)
+    loss: str = one_of("huber", "mse")
+
+
+@dataclass
+class TargetNetworkConfig(TemporalDifferenceConfig):
+    """With a target network that is copied from time to time."""
+
+    target_interval: int = at_least(0)
 
 
 class QLearning:

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from omegaconf import MISSING
 
-from ril.config.schema import StoppingConfig
+from ril.config.fields import at_least
+
+
+@dataclass
+class StoppingConfig:
+    """How long π_φ counts as improving (Alg. 1, line 6; §3.4, step vii)."""
+
+    patience: int | None = MISSING
+    loss_tolerance: float = at_least(0)
 
 
 class StoppingRule:

@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from ril.config.schema import NetworkConfig
+from omegaconf import MISSING
+
+from ril.config.fields import at_least
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
+
+
+@dataclass
+class NetworkConfig:
+    """The topology that policy and inverse dynamics model share (§4.1)."""
+
+    hidden: list[int] = MISSING
+    attention: bool = MISSING
+    layer_norm: bool = MISSING
+    negative_slope: float = at_least(0)
 
 
 def mlp(config: NetworkConfig, inputs: int, outputs: int) -> MLP:

@@ -4,24 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import ACKTRConfig
+from ril.config.fields import at_least, part, within
+from ril.config.schema import MethodConfig
 from ril.environments import Floats
 from ril.learners.advantages import generalised_advantages
 from ril.learners.exploration import sample_softmax
-from ril.learners.kfac import KFAC
+from ril.learners.kfac import KFAC, KFACConfig
 from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.stepping import Step, SteppedEnvironments
 from ril.vectorized.streams import Streams
+
+
+@dataclass
+class ACKTRConfig(MethodConfig):
+    """`conf/method/acktr.yaml`: actor-critic with K-FAC; Stable-Baselines' names."""
+
+    total_timesteps: int = MISSING
+    hidden: list[int] = MISSING
+    n_envs: int = MISSING
+    n_steps: int = MISSING
+    standardise_steps: int = at_least(0)
+    gamma: float = within(0, 1)
+    gae_lambda: float = within(0, 1)
+    ent_coef: float = at_least(0)
+    actor: KFACConfig = part(KFACConfig)
+    critic: KFACConfig = part(KFACConfig)
 
 
 class ACKTR:

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import MISSING
 
-from ril.config.schema import BCConfig
+from ril.config.fields import part
+from ril.config.schema import MethodConfig
 from ril.demonstrations.trajectories import LabelledTransitions
-from ril.learners.cloning import Cloning
-from ril.learners.topology import initial_policy
+from ril.learners.cloning import Cloning, CloningConfig
+from ril.learners.topology import NetworkConfig, initial_policy
 from ril.methods.base import Progress
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.streams import Streams
+
+
+@dataclass
+class BCConfig(MethodConfig):
+    """`conf/method/bc.yaml`: behavioural cloning."""
+
+    epochs: int = MISSING
+    network: NetworkConfig = part(NetworkConfig)
+    cloning: CloningConfig = part(CloningConfig)
 
 
 class BC:

@@ -7,18 +7,40 @@ et al., 2015), double targets (van Hasselt et al., 2016), dueling streams (Wang 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from omegaconf import MISSING
 
-from ril.config.schema import DQNConfig
-from ril.learners.online_q_learning import EPOCHS, OnlineQLearning
-from ril.learners.topology import mlp
+from ril.config.fields import part, within
+from ril.config.schema import MethodConfig
+from ril.learners.online_q_learning import EPOCHS, OnlineQLearning, OnlineQLearningConfig
+from ril.learners.topology import NetworkConfig, mlp
 from ril.methods.base import Progress
 from ril.task import Task
 from ril.vectorized.networks import Architecture, Dueling, Network
+
+
+@dataclass
+class LinearExplorationConfig:
+    """ε, as it falls along a straight line and then stays."""
+
+    initial_epsilon: float = within(0, 1)
+    final_epsilon: float = within(0, 1)
+    steps: int = MISSING
+
+
+@dataclass
+class DQNConfig(MethodConfig):
+    """`conf/method/dqn.yaml` and `dqn_prioritized.yaml`: deep Q-networks."""
+
+    total_timesteps: int = MISSING
+    network: NetworkConfig = part(NetworkConfig)
+    dueling: bool = MISSING
+    q_learning: OnlineQLearningConfig = part(OnlineQLearningConfig)
+    exploration: LinearExplorationConfig = part(LinearExplorationConfig)
 
 
 def topology(config: DQNConfig, task: Task) -> Architecture:

@@ -4,24 +4,36 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import GAILConfig
+from ril.config.fields import part
+from ril.config.schema import MethodConfig
 from ril.demonstrations.trajectories import LabelledTransitions
 from ril.environments import Floats
-from ril.learners.discriminator import Discriminator, state_action_pairs
-from ril.learners.ppo import PPOAgent, actor_topology
+from ril.learners.discriminator import Discriminator, DiscriminatorConfig, state_action_pairs
+from ril.learners.ppo import PPOAgent, PPOConfig, actor_topology
 from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.processes import Spread
 from ril.vectorized.streams import Streams
+
+
+@dataclass
+class GAILConfig(MethodConfig):
+    """`conf/method/gail.yaml`: generative adversarial imitation learning."""
+
+    total_timesteps: int = MISSING
+    discriminator: DiscriminatorConfig = part(DiscriminatorConfig)
+    ppo: PPOConfig = part(PPOConfig)
 
 
 class GAIL:

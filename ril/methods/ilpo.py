@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import MISSING
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config.schema import ILPOConfig
+from ril.config.fields import part, within
+from ril.config.schema import MethodConfig
 from ril.environments import Environment
 from ril.io.errors import UserError
 from ril.learners.exploration import explore
@@ -18,6 +21,7 @@ from ril.learners.latent_policy import (
     ActionRemapping,
     LatentDynamics,
     LatentPolicy,
+    LatentPolicyConfig,
     latent_loss,
     nearest_latents,
 )
@@ -29,6 +33,27 @@ from ril.vectorized.replay import at, random_indices
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
+
+
+@dataclass
+class RemappingConfig:
+    """ILPO's second step: which action a latent one is."""
+
+    hidden: list[int] = MISSING
+    learning_rate: float = MISSING
+    batch_size: int = MISSING
+    steps: int = MISSING
+    steps_per_epoch: int = MISSING
+    epsilon: float = within(0, 1)
+
+
+@dataclass
+class ILPOConfig(MethodConfig):
+    """`conf/method/ilpo.yaml`: imitating latent policies from observation."""
+
+    epochs: int = MISSING
+    latent_policy: LatentPolicyConfig = part(LatentPolicyConfig)
+    remapping: RemappingConfig = part(RemappingConfig)
 
 
 class ILPO:

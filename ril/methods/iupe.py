@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ril.config.schema import IUPEConfig
 from ril.learners.exploration import Explorer
-from ril.learners.imitation import SelfSupervisedImitation
+from ril.learners.imitation import ImitationConfig, SelfSupervisedImitation
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
 from ril.task import Task
@@ -23,7 +22,7 @@ class IUPE:
         task: environment, expert states, seeds.
     """
 
-    def __init__(self, config: IUPEConfig, task: Task) -> None:
+    def __init__(self, config: ImitationConfig, task: Task) -> None:
         self.config = config
         self.task = task
         self.epochs = config.epochs

@@ -4,19 +4,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import PPOMethodConfig
-from ril.learners.ppo import PPOAgent, actor_topology
+from ril.config.fields import part
+from ril.config.schema import MethodConfig
+from ril.learners.ppo import PPOAgent, PPOConfig, actor_topology
 from ril.methods.base import Progress
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.processes import Spread
+
+
+@dataclass
+class ScheduledPPOConfig(PPOConfig):
+    """With what RL Baselines3 Zoo adds to it."""
+
+    normalize: bool = MISSING
+    linear_schedule: bool = MISSING
+
+
+@dataclass
+class PPOMethodConfig(MethodConfig):
+    """`conf/method/ppo.yaml`: proximal policy optimisation."""
+
+    total_timesteps: int = MISSING
+    ppo: ScheduledPPOConfig = part(ScheduledPPOConfig)
 
 
 class PPO:

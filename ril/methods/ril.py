@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import HalvesConfig, RILConfig
+from ril.config.fields import part
 from ril.io.errors import UserError
 from ril.learners.exploration import Explorer
 from ril.learners.goal_sampler import positive_limit
-from ril.learners.imitation import Metrics, SelfSupervisedImitation
-from ril.learners.q_learning import QLearning
+from ril.learners.imitation import ImitationConfig, Metrics, SelfSupervisedImitation
+from ril.learners.q_learning import QLearning, TargetNetworkConfig
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
 from ril.task import Task
@@ -23,6 +25,22 @@ from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams
+
+
+@dataclass
+class QLearningConfig(TargetNetworkConfig):
+    """π_φ's reinforcement half (Alg. 1, line 13)."""
+
+    replay_trajectories: float = MISSING
+
+
+@dataclass
+class RILConfig(ImitationConfig):
+    """`conf/method/ril.yaml`: Reinforced Imitation Learning."""
+
+    imitation: bool = MISSING
+    reinforcement: bool = MISSING
+    q_learning: QLearningConfig = part(QLearningConfig)
 
 
 class RIL:

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from omegaconf import MISSING
 from torch import Tensor
 
-from ril.config.schema import RILConsistentConfig
+from ril.config.fields import part
 from ril.io.errors import UserError
-from ril.learners.consistency import ConsistentLearning
+from ril.learners.consistency import ConsistencyConfig, ConsistentLearning
 from ril.learners.goal_sampler import positive_limit
-from ril.learners.imitation import Metrics
+from ril.learners.imitation import ImitationConfig, Metrics
 from ril.learners.topology import mlp
 from ril.methods.ril import RIL, empty_memory, steps_of
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Consistent, Network
 from ril.vectorized.rollout import Episodes
+
+
+@dataclass
+class RILConsistentConfig(ImitationConfig):
+    """`conf/method/ril_consistent.yaml`: its halves in one consistent loss."""
+
+    imitation: bool = MISSING
+    reinforcement: bool = MISSING
+    q_learning: ConsistencyConfig = part(ConsistencyConfig)
 
 
 class ConsistentRIL(RIL):

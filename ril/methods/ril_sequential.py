@@ -4,20 +4,30 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from omegaconf import MISSING
 
-from ril.config.schema import RILSequentialConfig
+from ril.config.fields import part
 from ril.io.errors import UserError
 from ril.learners.exploration import Explorer
 from ril.learners.goal_sampler import positive_limit
-from ril.learners.imitation import Metrics, SelfSupervisedImitation
-from ril.learners.online_q_learning import EPOCHS, OnlineQLearning
+from ril.learners.imitation import ImitationConfig, Metrics, SelfSupervisedImitation
+from ril.learners.online_q_learning import EPOCHS, OnlineQLearning, OnlineQLearningConfig
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
 from ril.task import Task
+
+
+@dataclass
+class RILSequentialConfig(ImitationConfig):
+    """`conf/method/ril_sequential.yaml`: RIL's halves one after the other."""
+
+    total_timesteps: int = MISSING
+    q_learning: OnlineQLearningConfig = part(OnlineQLearningConfig)
 
 
 class SequentialRIL:

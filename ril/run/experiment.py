@@ -15,7 +15,7 @@ import torch
 import yaml
 
 from ril.config.checks import idle_ablations, run_folder, run_id
-from ril.config.schema import METHOD_CONFIGS, Config
+from ril.config.schema import Config
 from ril.demonstrations.files import check_level, demonstrations_path, load_demonstrations
 from ril.demonstrations.trajectories import Demonstrations
 from ril.environments import Environment, load_environment

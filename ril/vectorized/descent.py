@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -60,3 +61,22 @@ def descent(adam: ClippedAdam, loss: Loss, *, fused: bool) -> Callable[..., tupl
         return values
 
     return unless_broken(step, eager)
+
+
+def train_on_minibatches(step: Callable[..., Tensor], *minibatches: Iterable[Any]) -> Tensor:
+    """Take one optimizer step per minibatch.
+
+    Args:
+        step: takes one entry of each of `minibatches`, descends, and returns losses (…, S).
+        *minibatches: what the steps use, an entry per step; at least one.
+
+    Returns:
+        (…, S) mean loss over the steps.
+    """
+    total, steps = None, 0
+    for minibatch in zip(*minibatches, strict=True):
+        losses = step(*minibatch)
+        total = losses if total is None else total + losses
+        steps += 1
+    assert total is not None
+    return total / steps

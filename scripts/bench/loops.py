@@ -16,10 +16,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from bench.clock import in_turns, seconds, table
 from ril.cli.display import ConsoleDisplay
-from ril.config.schema import Config, DQNConfig
+from ril.config.schema import Config
 from ril.demonstrations.trajectories import StateTransitions
 from ril.environments import load_environment
-from ril.methods.dqn import DQN
+from ril.methods.dqn import DQN, DQNConfig
 from ril.run.experiment import run
 from ril.task import Task
 

@@ -10,8 +10,7 @@ from torch import nn
 from torch.nn import functional
 
 from bench.clock import in_turns, seconds, table
-from ril.config.schema import TargetNetworkConfig
-from ril.learners.q_learning import QLearning
+from ril.learners.q_learning import QLearning, TargetNetworkConfig
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.streams import Streams

@@ -12,7 +12,7 @@ from helpers.runs import composed
 from omegaconf import MISSING, OmegaConf
 
 from ril.config.checks import epochs_between_looks, from_hydra, run_id
-from ril.config.schema import METHOD_CONFIGS, Config
+from ril.config.schema import Config
 from ril.demonstrations.files import demonstrations_path, load_demonstrations
 from ril.io.errors import UserError
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ril.config.schema import KFACConfig
+from ril.learners.kfac import KFACConfig
 from ril.vectorized.networks import MLP, Architecture, Network, parameter_count
 
 

@@ -8,8 +8,7 @@ from helpers.references import Adam, copies_of, flat_of, random_network
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config.schema import CloningConfig
-from ril.learners.cloning import Cloning
+from ril.learners.cloning import Cloning, CloningConfig
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams

@@ -11,8 +11,7 @@ from helpers.states import assert_equal_states, copied
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ril.config.schema import ConsistencyConfig
-from ril.learners.consistency import ConsistentLearning
+from ril.learners.consistency import ConsistencyConfig, ConsistentLearning
 from ril.vectorized.networks import MLP, Consistent, Network, parameter_count
 from ril.vectorized.replay import Replay, random_indices
 from ril.vectorized.rollout import Episodes

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config.schema import DiscriminatorConfig
 from ril.learners.discriminator import (
     Discriminator,
+    DiscriminatorConfig,
     discriminator_loss,
     imitation_reward,
     state_action_pairs,

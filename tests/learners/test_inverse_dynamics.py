@@ -9,9 +9,8 @@ from helpers.references import Adam, copies_of, flat_of, random_network
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config.schema import InverseDynamicsConfig
 from ril.learners.goal_sampler import Selection
-from ril.learners.inverse_dynamics import InverseDynamics
+from ril.learners.inverse_dynamics import InverseDynamics, InverseDynamicsConfig
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import MLP
 from ril.vectorized.replay import Batch, random_indices

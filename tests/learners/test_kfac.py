@@ -9,9 +9,8 @@ from helpers.references import PlainKFAC, copies_of, flat_of, random_network, ta
 from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.config.schema import KFACConfig
 from ril.learners.exploration import sample_softmax
-from ril.learners.kfac import KFAC
+from ril.learners.kfac import KFAC, KFACConfig
 from ril.vectorized.networks import MLP, Network
 
 #: With a trust region that nothing leaves, and no momentum.

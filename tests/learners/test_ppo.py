@@ -14,9 +14,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor
 
-from ril.config.schema import PPOConfig
 from ril.environments import Environment
-from ril.learners.ppo import PPOAgent, actor_topology
+from ril.learners.ppo import PPOAgent, PPOConfig, actor_topology
 from ril.vectorized.networks import Network
 from ril.vectorized.stepping import SteppedEnvironments
 

@@ -9,8 +9,8 @@ from helpers.references import Adam, copies_of, flat_of, random_network
 from helpers.states import assert_equal_states, copied
 from torch.nn import functional
 
-from ril.config.schema import QLearningConfig
 from ril.learners.q_learning import QLearning
+from ril.methods.ril import QLearningConfig
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay, random_indices

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from ril.config.schema import StoppingConfig
-from ril.learners.stopping import StoppingRule
+from ril.learners.stopping import StoppingConfig, StoppingRule
 
 #: One epoch of one seed: the actions at the expert's states, and the cloning loss.
 Epoch = tuple[list[int], float]

@@ -10,8 +10,8 @@ import torch
 from helpers.references import PlainKFAC, copies_of, flat_of
 from torch import Tensor, nn
 
-from ril.config.schema import ACKTRConfig, Config
-from ril.methods.acktr import ACKTR, standardise_inputs
+from ril.config.schema import Config
+from ril.methods.acktr import ACKTR, ACKTRConfig, standardise_inputs
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.stepping import SteppedEnvironments

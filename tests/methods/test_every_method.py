@@ -19,7 +19,7 @@ from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
 from ril.config.checks import run_id
-from ril.config.schema import METHOD_CONFIGS, Config
+from ril.config.schema import Config
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.environments import Environment
 from ril.experts.collection import Episode, save

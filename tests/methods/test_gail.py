@@ -9,9 +9,9 @@ import torch
 from helpers.references import Adam, copies_of, flat_of
 from torch.nn import functional
 
-from ril.config.schema import Config, PPOConfig
+from ril.config.schema import Config
 from ril.io.errors import UserError
-from ril.learners.ppo import PPOAgent
+from ril.learners.ppo import PPOAgent, PPOConfig
 from ril.methods.gail import GAIL
 from ril.task import Task
 from ril.vectorized.streams import Streams

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import pytest
 
-from ril.config.schema import METHOD_CONFIGS
 from ril.report.paper.tables import TABLES, known_methods, solved_return, table
 
 #: How many numbers each table prints, counted by hand.

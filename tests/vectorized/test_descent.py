@@ -11,10 +11,10 @@ import torch
 from helpers.states import copied
 from torch import Tensor
 
-from ril.config.schema import Config, QLearningConfig
+from ril.config.schema import Config
 from ril.learners.online_q_learning import OnlineQLearning
 from ril.learners.q_learning import QLearning
-from ril.methods.ril import RIL
+from ril.methods.ril import RIL, QLearningConfig
 from ril.task import Task
 from ril.vectorized import compiling
 from ril.vectorized.compiling import compiled, worth_compiling
