@@ -1,4 +1,4 @@
-"""Hydra's sweeper for `ril-run -m`; here, since Hydra takes plugins from this package only."""
+"""Hydra's sweeper for `ril-run -m`; it is here, since Hydra finds plugins in this package only."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra._internal.core_plugins import basic_sweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.plugins import Plugins
 from hydra.core.utils import JobStatus
+from hydra.plugins.launcher import Launcher
+from hydra.plugins.sweeper import Sweeper
+from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 from ril.io.errors import UserError
@@ -17,29 +20,43 @@ if TYPE_CHECKING:
     from ril.cli.sweep import Cell
     from ril.cli.sweep_progress import SweepProgress
 
-_LAUNCHES = 4  # of a cell at most, as Ray has it
+_LAUNCHES = 4  # attempts per cell at most, as Ray's default
 
 
-class CellSweeper(basic_sweeper.BasicSweeper):
-    """Runs the cells of one or several sweeps by any launcher, those that are not finished.
+class CellSweeper(Sweeper):
+    """Runs those cells of one or several sweeps that are not finished, by any launcher.
 
     Args:
-        max_batch_size: cells handed to the launcher at a time; None for all.
+        max_batch_size: cells given to the launcher at a time; None for all.
         params: values by key, as of Hydra's own sweeper.
-        sweeps: the like, for one sweep after the other.
+        sweeps: values by key of several sweeps, which are run one after another.
     """
 
     def __init__(
         self,
         max_batch_size: int | None,
-        params: dict[str, str] | None = None,
+        params: Mapping[str, str] | None = None,
         sweeps: Sequence[Mapping[str, str]] | None = None,
     ) -> None:
-        super().__init__(max_batch_size, params)
+        self.max_batch_size = max_batch_size
+        self.params = params or {}
         self.sweeps = sweeps
+        self.config: DictConfig
+        self.hydra_context: HydraContext
+        self.launcher: Launcher
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Make the launcher; Hydra calls this before `sweep`."""
+        self.config = config
+        self.hydra_context = hydra_context
+        self.launcher = Plugins.instance().instantiate_launcher(
+            hydra_context=hydra_context, task_function=task_function, config=config
+        )
 
     def sweep(self, arguments: list[str]) -> None:
-        """Run what the command line asks for, and say what became of it.
+        """Run what the command line asks for, and report what became of it.
 
         Raises:
             UserError: no cell can be run; nothing was written.
@@ -49,18 +66,15 @@ class CellSweeper(basic_sweeper.BasicSweeper):
         from ril.cli.sweep import expand, plan
         from ril.cli.sweep_progress import SweepProgress
 
-        assert self.config is not None
-        assert self.hydra_context is not None
-        config = self.config
-        loader = self.hydra_context.config_loader
+        config, loader = self.config, self.hydra_context.config_loader
         parser = OverridesParser.create(config_loader=loader)
-        lines = expand(self.sweeps, [*self._parse_config(), *arguments], parser)
-        overrides = [job for line in lines for job in self.split_arguments(line, None)[0]]
+        params = [f"{key}={values}" for key, values in self.params.items()]
+        jobs = expand(self.sweeps, [*params, *arguments], parser)
 
         def compose(job: list[str]) -> DictConfig:
             return loader.load_sweep_config(config, job)
 
-        cells = plan(overrides, compose, config)
+        cells = plan(jobs, compose, config)
         try:
             Path(config.output_dir).mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -70,29 +84,28 @@ class CellSweeper(basic_sweeper.BasicSweeper):
         with progress.watched():
             pending = progress.pending
             size = self.max_batch_size or len(pending) or 1
-            for begun in range(0, len(pending), size):
-                self._launch(pending[begun : begun + size], begun, progress)
+            for start in range(0, len(pending), size):
+                self._launch(pending[start : start + size], start, progress)
         progress.report()
 
-    def _launch(self, cells: Sequence[Cell], begun: int, progress: SweepProgress) -> None:
-        """Have the launcher run some cells; again, where a worker of it was killed."""
+    def _launch(self, cells: Sequence[Cell], first: int, progress: SweepProgress) -> None:
+        """Have the launcher run some cells; again, if one of its workers was killed."""
         from joblib.externals.loky.process_executor import TerminatedWorkerError
 
         from ril.cli.command import in_one_line
 
-        assert self.launcher is not None
         for _ in range(_LAUNCHES):
             left = [cell for cell in cells if not cell.is_done]
             if not left:
                 return
             try:
-                returned = self.launcher.launch([cell.overrides for cell in left], begun)
-            except TerminatedWorkerError:  # joblib gives the others up too; Ray and Slurm do not
-                progress.lost(left, "a worker was killed, perhaps for want of memory")
+                returned = self.launcher.launch([cell.overrides for cell in left], first)
+            except TerminatedWorkerError:  # joblib gives up the other cells; Ray and Slurm do not
+                progress.lost(left, "a worker was killed, perhaps because memory ran out")
             except Exception as error:
                 return progress.lost(left, in_one_line(error))
             else:
                 for cell, job in zip(left, returned, strict=True):
-                    if job.status == JobStatus.FAILED:  # its property would say so and raise
+                    if job.status == JobStatus.FAILED:  # `return_value` would raise the error
                         cell.mistake = in_one_line(job._return_value)
                 return

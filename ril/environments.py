@@ -83,11 +83,16 @@ def load_environment(config: EnvironmentConfig) -> Environment:
         ("observation_low", config.observation_low, observations.low),
         ("observation_high", config.observation_high, observations.high),
     ):
+        if not config.scale_observations:
+            given = [1.0 if name == "observation_high" else -1.0] * size
         bound = np.asarray(of_space if given is None else given, dtype=np.float32)
         if bound.shape != (size,):
             raise UserError(f"env.{name}: has {bound.size} entries, {config.id} needs {size}")
         if not np.isfinite(bound).all():
-            raise UserError(f"env.{name}: {config.id} is unbounded, give {size} finite numbers")
+            raise UserError(
+                f"env.{name}: {config.id} is unbounded; give {size} finite numbers, "
+                "or env.scale_observations=false"
+            )
         bounds.append(bound)
     low, high = bounds
     if (low >= high).any():

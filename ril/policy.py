@@ -1,7 +1,8 @@
-"""Saved policies, to be loaded and used again: `load_policy("outputs/…/policy.pt", seed=0)`."""
+"""Save policies, and load them again: `load_policy("outputs/…/policy.pt", seed=0)`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ from ril.environments import Environment, Floats
 from ril.io.errors import UserError
 from ril.io.files import tensor_bytes, write_atomically
 from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
-from ril.run.record import Record
 from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 
 _ARCHITECTURES: dict[str, type[Architecture]] = {
@@ -37,42 +37,57 @@ class Policy:
 
     @torch.no_grad()
     def values(self, observations: Floats) -> Floats:
-        """Raw observations (N, obs) to the (N, |A|) outputs: logits and Q-values at once."""
+        """Return the outputs (N, |A|), logits or Q-values, for raw observations (N, obs)."""
         raw = torch.as_tensor(observations, dtype=torch.float32)
         values: Floats = self._network(((raw - self._center) / self._half)[None])[0].numpy()
         return values
 
     def probabilities(self, observations: Floats) -> Floats:
-        """Raw observations (N, obs) to softmax probabilities (N, |A|)."""
+        """Return softmax probabilities (N, |A|) for raw observations (N, obs)."""
         values = torch.from_numpy(self.values(observations))
         probabilities: Floats = values.softmax(dim=-1).numpy()
         return probabilities
 
     def predict(self, observations: Floats) -> NDArray[np.int64]:
-        """Greedy actions: raw observations (N, obs) to (N,); one observation (obs,) to ()."""
+        """Return greedy actions (N,) for raw observations (N, obs), or () for one (obs,)."""
         batch = np.atleast_2d(observations)
         actions: NDArray[np.int64] = self.values(batch).argmax(axis=-1)
         return actions.reshape(np.shape(observations)[:-1])
 
 
 def save_policies(
-    path: Path, environment: Environment, architecture: Architecture, record: Record
+    path: Path,
+    environment: Environment,
+    architecture: Architecture,
+    seeds: Sequence[int],
+    *,
+    best: Tensor,
+    last: Tensor,
 ) -> None:
-    """Write the best and last policies of all seeds, as tensors and plain values only."""
+    """Write the best and last policies of all seeds, as tensors and plain values only.
+
+    Args:
+        path: of the file.
+        environment: that they act in.
+        architecture: of each policy.
+        seeds: S.
+        best: (S, P) parameters of each seed's best policy.
+        last: (S, P) parameters of each seed's last policy.
+    """
     content = {
         "env_id": environment.config.id,
         "observation_low": torch.from_numpy(environment.low),
         "observation_high": torch.from_numpy(environment.high),
         "architecture": _described(architecture),
-        "seeds": list(record.seeds),
-        "best": record.best.cpu(),
-        "last": record.last.cpu(),
+        "seeds": list(seeds),
+        "best": best.cpu(),
+        "last": last.cpu(),
     }
     write_atomically(path, tensor_bytes(content))
 
 
 def _described(architecture: Architecture) -> dict[str, Any]:
-    """An architecture as plain values; those that it is made of, too."""
+    """Describe an architecture, and those that it consists of, by plain values."""
     plain: dict[str, Any] = {"kind": type(architecture).__name__}
     for field in fields(architecture):
         value = getattr(architecture, field.name)
@@ -81,10 +96,11 @@ def _described(architecture: Architecture) -> dict[str, Any]:
 
 
 def _built(description: dict[str, Any]) -> Architecture:
-    """The architecture of a description."""
-    kind: str = description.get("kind", "MLP")  # which early files do not say
-    values = {k: _built(v) if isinstance(v, dict) else v for k, v in description.items()}
-    values.pop("kind", None)
+    """Make the architecture of a description."""
+    values: dict[str, Any] = {
+        k: _built(v) if isinstance(v, dict) else v for k, v in description.items()
+    }
+    kind: str = values.pop("kind")
     return _ARCHITECTURES[kind](**values)
 
 

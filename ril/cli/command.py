@@ -1,8 +1,7 @@
-"""What the commands over Hydra share: a mistake of the user's is one line, not a traceback."""
+"""What the commands over Hydra share: a mistake of the user is one line, not a traceback."""
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 import sys
@@ -12,19 +11,22 @@ from typing import Any, NoReturn
 
 import hydra
 import yaml
-from hydra._internal.hydra import Hydra
+from hydra._internal.hydra import Hydra  # Hydra has no public way to its help and flags
 from hydra._internal.utils import get_args_parser
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
+from ril import __version__
+from ril.cli.configuration import unknown_key
 from ril.io.errors import UserError, one_line
 from ril.io.paths import config_folder
 
 MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError, yaml.YAMLError)
 #: Groups whose choices may be sweeps.
 SWEEP_GROUPS = ("experiment=", "ablation=")
-_LAUNCHERS = {"ray": "ray", "submitit": "slurm"}  # by the extra that they come with
+_LAUNCHERS = {"ray": "ray", "submitit": "slurm"}  # by the extra that installs them
 _TRACEBACK_WANTED = "HYDRA_FULL_ERROR" in os.environ
 
 
@@ -34,30 +36,59 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
     Args:
         config_name: a file of `conf/`.
         job: what to do.
-        stopped: what to say if it is interrupted before it can say so itself.
+        stopped: what to say if Ctrl-C interrupts it before the job handles signals.
     """
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra's own errors then reach the handlers below
+    if "--version" in sys.argv[1:]:
+        print(f"{Path(sys.argv[0]).stem} {__version__}")
+        return
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises its errors
     if "--hydra-help" not in sys.argv:
-        # It lists all groups for a second, though no help text of ours has a place for that list.
+        # Hydra lists all groups, which takes 0.2 s, for a place that ril's help does not have.
         Hydra.format_config_groups = lambda *_, **__: ""  # type: ignore[method-assign]
-    parser = get_args_parser()
-    parser.error = _refuse_flags  # type: ignore[method-assign]
-    parser.parse_args()  # first, for Hydra says its usage besides what is wrong
-    folder = str(config_folder())
+    composed = False
+
+    def after_composing(config: DictConfig) -> None:
+        nonlocal composed
+        composed = True
+        job(config)
+
     try:
-        hydra.main(version_base="1.3", config_path=folder, config_name=config_name)(job)()
+        arguments = _arguments()
+        if arguments.cfg == "job" and not arguments.resolve:
+            sys.argv.append("--resolve")  # values by environment are interpolations
+        folder = str(config_folder())
+        task = after_composing if not arguments.multirun else job  # which workers unpickle
+        hydra.main(version_base="1.3", config_path=folder, config_name=config_name)(task)()
         sys.stdout.flush()
-    except BrokenPipeError:  # who reads the output wants no more of it
+    except BrokenPipeError:  # the reader of the output has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except MISTAKES as error:
         refuse(error)
     except ValueError as error:
-        if not any(known in str(error) for known in ("Config group override", "Only one of --")):
+        if composed:
             raise
-        refuse(error)  # group=null, or two flags
+        refuse(error)  # of Hydra, such as for group=null or two flags that exclude each other
     except KeyboardInterrupt:
         sys.exit(stopped)
+
+
+def _arguments() -> Any:
+    """The flags and overrides; what cannot be read as such ends the command in one line.
+
+    Raises:
+        UserError: several values are given without -m.
+    """
+    parser = get_args_parser()
+    parser.error = _refuse_flags  # type: ignore[method-assign]
+    arguments = parser.parse_args()
+    if not arguments.multirun:
+        given = [each for each in arguments.overrides if re.search(r"[,(]", each)]
+        for override in OverridesParser.create().parse_overrides(given):
+            if override.is_sweep_override():
+                key = override.get_key_element()
+                raise UserError(f"{key}: several values are a sweep, which needs -m")
+    return arguments
 
 
 def _refuse_flags(message: str) -> NoReturn:
@@ -68,54 +99,59 @@ def _refuse_flags(message: str) -> NoReturn:
 
 
 def refuse(error: Exception) -> NoReturn:
-    """End the command with what was wrong in one line, and exit status 1."""
+    """End the command with the mistake in one line, and exit status 1."""
     if _TRACEBACK_WANTED:
         raise error
     sys.exit(f"{Path(sys.argv[0]).stem}: {in_one_line(error)}")
 
 
 def own_folders(sources: Iterable[Any]) -> list[str]:
-    """The user's folders among those that Hydra composed a configuration from: --config-dir."""
+    """Return the user's own folders (--config-dir) among Hydra's sources of configuration."""
     return [source.path for source in sources if source.provider == "command-line"]
 
 
 def cell_command(overrides: Sequence[str], sources: Iterable[Any]) -> list[str]:
-    """What runs one cell of a sweep alone."""
+    """Return the command that runs one cell of a sweep alone."""
     flags = [f"--config-dir={folder}" for folder in own_folders(sources)]
     return ["ril-run", *flags, *overrides]
 
 
 def in_one_line(error: Exception) -> str:
-    """What was wrong, in the user's terms."""
+    """Describe a mistake in the user's terms."""
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, choice = error.missing_cfg_file.rpartition("/")
         if not group:
             return f"--config-name {choice}: no such file"
         allowed = ", ".join(error.options or ())
         extra = _LAUNCHERS.get(choice.partition("_")[0]) if group == "hydra/launcher" else None
-        more = f"; it comes with pip install 'ril[{extra}]'" if extra else ""
+        more = f"; it comes with pip install -e '.[{extra}]'" if extra else ""
         return f"{group}={choice}: unknown, choose one of {allowed}{more}"
     if isinstance(error, OverrideParseException):
         return f"{error.override}: cannot be read as key=value"
-    if several := re.match(r"(?:Ambiguous value for argument|Sweep parameters) '(.*)'", str(error)):
-        return f"{several[1]}: several values are a sweep, which needs -m"
-    if isinstance(error, ValueError) and "Config group override" in str(error):
-        groups = [each for each in sys.argv[1:] if re.fullmatch(r"\w+=(null|\[\])", each)]
-        return f"{' '.join(groups)}: must be one of the group's choices"
     fault = error.__cause__ or error
     if isinstance(fault, ConfigKeyError | ConfigAttributeError) and fault.full_key:
-        parent, _, key = fault.full_key.rpartition(".")
-        known = [] if fault.object_type is None else list(_fields(fault.object_type))
-        if not known:
-            return f"{fault.full_key}: not there yet; give it as +{fault.full_key}=…"
-        near = difflib.get_close_matches(key, known, n=1) or known
-        methods = [name for name, kind in METHOD_CONFIGS.items() if kind is fault.object_type]
-        where = f" of {'='.join([parent, *methods[:1]])}" if parent else ""
-        return f"{fault.full_key}: no such key{where}; is it {', '.join(near)}?"
+        if fault.object_type is None or fault.object_type is dict:
+            return f"{fault.full_key}: does not exist; add it as +{fault.full_key}=…"
+        known = list(getattr(fault.object_type, "__dataclass_fields__", ()))
+        return unknown_key(fault.full_key, known)
     if isinstance(fault, OmegaConfBaseException) and fault.full_key:
         return f"{fault.full_key}: {str(fault).splitlines()[0]}"
+    groups = [each for each in sys.argv[1:] if re.fullmatch(r"\w+=(null|\[\])", each)]
+    if isinstance(fault, ValueError) and groups:
+        return f"{' '.join(groups)}: must be one of the group's choices"
     return one_line(fault)
 
 
-def _fields(kind: type) -> list[str]:
-    return list(getattr(kind, "__dataclass_fields__", ()))
+def default_config(env: str, method: str, folders: Sequence[str] = ()) -> DictConfig:
+    """Compose the default configuration of a method on an environment.
+
+    Args:
+        env: its choice on the command line.
+        method: its name.
+        folders: the user's own, as of --config-dir.
+    """
+    overrides = [f"env={env}", f"method={method}"]
+    if folders:
+        overrides.append(f"hydra.searchpath=[{','.join(f'file://{each}' for each in folders)}]")
+    composed: DictConfig = hydra.compose("config", overrides)
+    return composed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from rich.table import Table
 from ril.config.schema import Config
 from ril.io.rows import load_results
 from ril.methods import base
-from ril.report.beside import paper_cell
+from ril.methods.registry import spec
+from ril.methods.spec import MethodSpec
 from ril.run.record import Record
 
 _LINE_SECONDS = 10.0  # between two lines of a log file
@@ -31,8 +33,16 @@ class ConsoleDisplay:
         alone: a finished run has a table of its seeds; as one of a sweep's cells only a line.
     """
 
-    def __init__(self, console: Console, *, live: bool, alone: bool = True) -> None:
+    def __init__(
+        self,
+        console: Console,
+        *,
+        live: bool,
+        alone: bool = True,
+        paper_number: Callable[[pd.DataFrame], str | None] = lambda _: None,
+    ) -> None:
         self._console = console
+        self._paper_number = paper_number
         self._is_alone = alone
         self._is_live = live
         self._live: Live | None = None
@@ -71,7 +81,7 @@ class ConsoleDisplay:
         now, total = time.monotonic(), self._epochs
         done = progress.epoch - self._epochs_at_start
         left = (now - self._started) / done * (total - progress.epoch)
-        facts = _facts(progress, record)
+        facts = _facts(spec(self._config.method.name), progress, record)
         since, before = self._first_look
         if now > since and (taken := int(progress.env_samples.sum()) - before):
             facts["steps/s"] = f"{taken / (now - since):,.0f} (all seeds)"
@@ -120,7 +130,7 @@ class ConsoleDisplay:
         spread = f"{frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f}"
         performance = f"performance {frame.performance.mean():.3f}"
         found = f"AER {spread} over {count(len(frame), 'seed')}, {performance}"
-        paper = paper_cell(frame)
+        paper = self._paper_number(frame)
         if not self._is_alone:
             beside = "" if paper is None else f"; the paper says {paper}"
             self._console.print(f"{rows.parent}: {found}{beside}", soft_wrap=True)
@@ -154,7 +164,7 @@ def _seeds(frame: pd.DataFrame) -> Table:
     return table
 
 
-def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
+def _facts(method: MethodSpec, progress: base.Progress, record: Record) -> dict[str, str]:
     """Names and values of what is shown after an epoch."""
     samples = progress.env_samples + progress.expert_samples
     facts = {}
@@ -163,16 +173,10 @@ def _facts(progress: base.Progress, record: Record) -> dict[str, str]:
         latest = np.array([point.aer for point in record.curve if point.epoch == epoch])
         facts["return"] = f"{mean_and_std(latest)} (best so far {record.best_aer.mean():.1f})"
     facts["samples"] = f"{samples.mean():,.0f}"
-    for name, metric, form in (
-        ("inverse dynamics", "inverse_dynamics_accuracy", ".0%"),
-        ("discriminator", "discriminator_accuracy", ".0%"),
-        ("latent loss", "latent_loss", ".4g"),
-        ("remapping loss", "remapping_loss", ".4g"),
-        ("TD loss", "td_loss", ".4g"),
-        ("ε", "epsilon", ".3f"),
-    ):
-        if metric in progress.metrics and not np.isnan(progress.metrics[metric]).any():
-            facts[name] = format(progress.metrics[metric].mean(), form)
+    for shown in method.shown:
+        values = progress.metrics.get(shown.metric)
+        if values is not None and not np.isnan(values).any():
+            facts[shown.label] = format(values.mean(), shown.form)
     if progress.stopped.any():
         facts["stopped"] = f"{progress.stopped.sum()} of {len(progress.stopped)} seeds"
     return facts

@@ -1,7 +1,8 @@
-"""Which cells a sweep has."""
+"""Which cells a sweep consists of."""
 
 from __future__ import annotations
 
+import itertools
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,12 +13,13 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, open_dict
 
 from ril.cli.command import MISTAKES, SWEEP_GROUPS, cell_command, in_one_line
-from ril.config.checks import from_hydra, run_folder
+from ril.cli.configuration import from_hydra
 from ril.config.schema import Config
 from ril.demonstrations.files import demonstrations_path, load_demonstrations
 from ril.environments import load_environment
 from ril.io.errors import UserError
-from ril.run.experiment import has_rows
+from ril.run.earlier import has_rows
+from ril.run.identity import run_folder
 
 
 @dataclass
@@ -25,12 +27,12 @@ class Cell:
     """A cell of a sweep.
 
     Attributes:
-        overrides: that make it, without those of the sweep's other cells.
+        overrides: of its command line.
         command: that runs it alone.
-        config: of its run.
-        folder: of its run, or of the first one where it is run anew.
-        mistake: why it has none, or why it failed.
-        before: how many runs it had when the sweep began that do not count as its own.
+        config: of its run; None if it cannot be run.
+        folder: of its first run.
+        mistake: why it cannot be run, or why it failed.
+        before: finished runs that do not count, since resume=false asks for one more.
     """
 
     overrides: list[str]
@@ -42,7 +44,7 @@ class Cell:
 
     @property
     def runs(self) -> list[Path]:
-        """The rows of all its runs; those of a run anew lie in `<run_id>-2` and so on."""
+        """The files of rows of all its runs; with resume=false they are in `<run_id>-2`, …."""
         parent, name = self.folder.parent, self.folder.name
         return [path for each in (name, f"{name}-*") for path in parent.glob(f"{each}/results.csv")]
 
@@ -54,46 +56,48 @@ class Cell:
 
 def expand(
     sweeps: Sequence[Mapping[str, str]] | None, arguments: Sequence[str], parser: OverridesParser
-) -> list[list[Override]]:
-    """What each of several sweeps runs through, as Hydra's overrides.
+) -> list[list[str]]:
+    """Return the overrides of each cell of several sweeps.
 
     Args:
         sweeps: values by key, separated by commas; None is one sweep without keys of its own.
-        arguments: the command line; where it gives a key of a sweep, only the values that both
-            have are left, and a sweep without any is left out.
+        arguments: the command line. Where it gives a key of a sweep, only the values that both
+            have remain, and a sweep with none is left out.
         parser: Hydra's.
 
     Raises:
-        UserError: nothing is left.
+        UserError: no cell remains.
     """
     given = {each.get_key_element(): each for each in parser.parse_overrides(list(arguments))}
-    expanded, left_out = [], []
+    jobs: list[list[str]] = []
+    left_out: list[str] = []
     for sweep in sweeps or [{}]:
         own = parser.parse_overrides([f"{key}={values}" for key, values in sweep.items()])
-        narrowed = [_narrowed(each, given.get(each.get_key_element())) for each in own]
-        left_out += [
-            f"{a.input_line}" for a, values in zip(own, narrowed, strict=True) if not values
-        ]
-        if all(narrowed):
-            keys = [each.get_key_element() for each in own]
-            texts = [f"{key}={','.join(v)}" for key, v in zip(keys, narrowed, strict=True)]
-            others = [each for key, each in given.items() if key not in keys]
-            expanded.append([*others, *parser.parse_overrides(texts)])
-    if not expanded:
+        choices = {each.get_key_element(): list(_values(each)) for each in given.values()}
+        for each in own:
+            key = each.get_key_element()
+            choices.pop(key, None)
+            choices[key] = _narrowed(each, given.get(key))
+            if not choices[key]:
+                left_out.append(str(each.input_line))
+        # `key=value` of every combination, the last key's values running fastest.
+        texts = [[f"{key}={value}" for value in values] for key, values in choices.items()]
+        jobs += [list(job) for job in itertools.product(*texts)]
+    if not jobs:
         key = left_out[0].partition("=")[0]
         raise UserError(f"{given[key].input_line}: the sweep has only {', '.join(left_out)}")
-    return expanded
+    return jobs
 
 
 def _narrowed(own: Override, given: Override | None) -> list[str]:
-    """The values of a sweep's key, of those that the command line gives, if it does."""
+    """The values of a sweep's key that the command line gives too, if it gives that key."""
     values = _values(own)
     wanted = values if given is None else _values(given)
     return [text for text, value in values.items() if value in wanted.values()]
 
 
 def _values(override: Override) -> dict[str, object]:
-    """What a key is given, by how it is written."""
+    """The values of an override, by how they are written."""
     if override.is_sweep_override():
         return dict(zip(override.sweep_string_iterator(), override.sweep_iterator(), strict=True))
     return {override.get_value_element_as_str(): override.value()}
@@ -102,12 +106,12 @@ def _values(override: Override) -> dict[str, object]:
 def plan(
     jobs: Sequence[list[str]], compose: Callable[[list[str]], DictConfig], config: DictConfig
 ) -> list[Cell]:
-    """The cells of a sweep, each once however often it is asked for.
+    """Return the cells of a sweep, each once even if it is asked for several times.
 
     Args:
-        jobs: overrides of each.
-        compose: what Hydra makes of them.
-        config: what it makes of the sweep as a whole.
+        jobs: overrides of each cell.
+        compose: overrides to the configuration that Hydra composes.
+        config: the configuration of the sweep as a whole.
 
     Raises:
         UserError: none of them can be run.
@@ -119,14 +123,14 @@ def plan(
             composed = compose(overrides)
             if composed.hydra.sweeper != config.hydra.sweeper:
                 groups = [each for each in overrides if each.startswith(SWEEP_GROUPS)]
-                raise UserError(f"{' '.join(groups)}: a sweep of its own; give one at a time")
+                raise UserError(f"{' '.join(groups)}: are two sweeps; give one at a time")
             with open_dict(composed):
                 del composed["hydra"]
             run = from_hydra(composed)
             expert = load_demonstrations(demonstrations_path(run), load_environment(run.env))
             cell = Cell(overrides, command, run, run_folder(run, expert.sha256))
             if run.resume:
-                has_rows(cell.folder, run, cell.folder.name)  # or refuses what lies there
+                has_rows(cell.folder, run)  # raises if the file of rows holds others
             else:
                 cell.before = len(cell.runs)
             cells.setdefault(cell.folder, cell)

@@ -19,6 +19,7 @@ from ril.cli.sweep import Cell
 from ril.config.schema import Config
 from ril.io.rows import load_results
 from ril.io.signals import Stopped, stop_on_signals
+from ril.methods.registry import spec
 
 _WATCH_SECONDS = 1.0
 _NO_REASON = "left no rows, and its launcher did not say why; the same command goes on"
@@ -136,7 +137,7 @@ def _expected_seconds(cells: Sequence[Cell], output_dir: Path) -> np.ndarray:
 
 def _expected(config: Config, rows: pd.DataFrame) -> float:
     like = rows[(rows["env"] == config.env.name) & (rows["method"] == config.method.name)]
-    budget = "total_timesteps" if hasattr(config.method, "total_timesteps") else "epochs"
-    if not hasattr(config.method, budget):
+    budget = spec(config.method.name).budget
+    if not budget:
         return float(like["wall_seconds"].mean())
     return float((like["wall_seconds"] / like[budget]).mean() * getattr(config.method, budget))

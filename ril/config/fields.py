@@ -36,12 +36,12 @@ def part(config: type) -> Any:
     return dataclasses.field(default_factory=config)
 
 
-def check(config: Any, key: str) -> None:
+def check(config: Any, prefix: str = "") -> None:
     """Refuse values outside the bounds of their fields; numbers without bounds must be above 0.
 
     Args:
         config: a configuration dataclass, whose parts are checked too.
-        key: of the whole, for the message: "method".
+        prefix: of its fields' full keys, such as "method.".
 
     Raises:
         UserError: names the full key, its value, and what is allowed.
@@ -49,9 +49,9 @@ def check(config: Any, key: str) -> None:
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
-            check(value, f"{key}.{field.name}")
+            check(value, f"{prefix}{field.name}.")
         else:
-            _check_value(f"{key}.{field.name}", value, field.metadata)
+            _check_value(f"{prefix}{field.name}", value, field.metadata)
 
 
 def _check_value(key: str, value: Any, metadata: Any) -> None:

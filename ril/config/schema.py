@@ -2,40 +2,55 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
 from omegaconf import MISSING
 
-from ril.config.fields import part
+from ril.config.fields import any_number, at_least, one_of, part
+from ril.io.errors import UserError
 
 
 @dataclass
 class GoalConfig:
-    """When an episode counts as having reached the goal; every condition that is set must hold."""
+    """When an episode reaches the goal: when it meets every condition that is set (§3.2)."""
 
-    minimum_return: float | None = None
-    minimum_final_reward: float | None = None
+    minimum_return: float | None = any_number(None)
+    minimum_final_reward: float | None = any_number(None)
     terminated: bool | None = None
 
 
 @dataclass
 class EnvironmentConfig:
-    """`conf/env/*.yaml`: a Gymnasium environment."""
+    """`conf/env/*.yaml`: a Gymnasium environment.
+
+    Attributes:
+        name: of its folder below `output_dir`.
+        id: by which Gymnasium makes it.
+        solved_return: mean return from which it counts as solved (§4.1).
+        goal: when an episode succeeds.
+        observation_low: raw observation that is scaled to −1; None: the space's bounds.
+        observation_high: raw observation that is scaled to 1; None: the space's bounds.
+        scale_observations: whether methods see scaled observations or raw ones (D5).
+        kwargs: passed to `gymnasium.make`.
+        vectorized: whether copies are stepped as arrays where ril has that, bit for bit equal.
+    """
 
     name: str = MISSING
     id: str = MISSING
-    solved_return: float | None = None
+    solved_return: float | None = any_number(None)
     goal: GoalConfig = part(GoalConfig)
-    observation_low: list[float] | None = None
-    observation_high: list[float] | None = None
+    observation_low: list[float] | None = any_number(None)
+    observation_high: list[float] | None = any_number(None)
+    scale_observations: bool = True
     kwargs: dict[str, Any] = field(default_factory=dict)
     vectorized: bool = True
 
 
 @dataclass
 class MethodConfig:
-    """What every method has; all that `random` and `expert` have."""
+    """What every method's configuration has; each method's own is in its file in `ril/methods/`."""
 
     name: str = MISSING
 
@@ -45,18 +60,36 @@ class AblationConfig:
     """What the paper varies (§6.3, §6.4, §7)."""
 
     k: float = MISSING
-    n: float = MISSING
+    n: float = at_least(1)
     trajectories: int = MISSING
-    expert_return: float | None = None
+    expert_return: float | None = any_number(None)
 
 
 @dataclass
 class EvaluationConfig:
-    """How a policy is scored."""
+    """How policies are evaluated during training and scored after it."""
 
     episodes: int = MISSING
     every: Any = MISSING
     selection_episodes: int = MISSING
+
+    def interval(self, epochs: int) -> int:
+        """Return the number of epochs between two evaluations.
+
+        Args:
+            epochs: of the run, of which `every` may be a share.
+
+        Raises:
+            UserError: `every` is neither a count nor a share.
+        """
+        if type(self.every) is int:
+            return self.every
+        share = re.fullmatch(r"(\d+(?:\.\d+)?)%", str(self.every))
+        if share is None or not 0 < float(share[1]) <= 100:
+            raise UserError(
+                f"evaluation.every={self.every}: must be a count of epochs, or a share of them: 1%"
+            )
+        return max(1, int(epochs * float(share[1]) / 100))
 
 
 @dataclass
@@ -67,11 +100,11 @@ class Config:
     method: MethodConfig = part(MethodConfig)
     ablation: AblationConfig = part(AblationConfig)
     evaluation: EvaluationConfig = part(EvaluationConfig)
-    seeds: Any = MISSING
+    seeds: Any = any_number()
     demonstrations: str | None = None
     output_dir: str = MISSING
     processes: int | None = None
     device: str = MISSING
-    compile: Any = MISSING
+    compile: Any = one_of("auto", True, False)
     resume: bool = MISSING
     logging: Any = None

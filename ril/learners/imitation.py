@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,9 +15,9 @@ from ril.config.fields import part
 from ril.config.schema import GoalConfig, MethodConfig
 from ril.environments import Floats, Integers, reaches_goal
 from ril.io.errors import UserError
-from ril.learners.cloning import Cloning, CloningConfig
+from ril.learners.cloning import CloningConfig
 from ril.learners.exploration import ExplorationConfig, exploration_ratio, sample_softmax
-from ril.learners.goal_sampler import GoalSamplerConfig, select
+from ril.learners.goal_sampler import GoalSamplerConfig, Selection, select
 from ril.learners.inverse_dynamics import InverseDynamics, InverseDynamicsConfig
 from ril.learners.stopping import StoppingConfig, StoppingRule
 from ril.learners.td import taken
@@ -28,6 +27,7 @@ from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Environments, Episodes
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 
 
@@ -48,21 +48,29 @@ class ImitationConfig(MethodConfig):
 _PRE_COPIES = 10  # environments per seed that fill I^pre side by side
 _CHUNK = 8192  # expert states of each seed that go through a network at once
 
-Metrics = dict[str, NDArray[np.float64]]
 
-
-class SelfSupervisedImitation:
-    """S agents' inverse dynamics, pseudo-labels, cloning and goal sampler.
+class SelfSupervisedImitation(Stateful):
+    """S agents' inverse dynamics models, pseudo-labels, goal samplers and exploration.
 
     Args:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
-        policy: π_φ, which is cloned and has labels from what it does.
+        policy: π_φ, whose episodes I^pre and I^pos consist of.
 
     Attributes:
-        confidence: (S, M) probability of each of the newest pseudo-labels by M_θ; 0 before the
-            first, and not saved, as each epoch makes it anew.
+        expert_states: (M, obs) the expert's states s_t of T^e.
+        pre: I^pre.
+        pos: I^pos.
+        success_ratio: (S,) share of the last epoch's episodes that reached the goal.
+        confidence: (S, M) probability of each of the newest pseudo-labels by M_θ; not part of the
+            state, since each epoch begins with new labels.
+        stopping: which seeds have stopped (line 6).
+
+    Raises:
+        UserError: the environment has no goal, or the inverse dynamics' keys contradict each other.
     """
+
+    STATE = ("inverse_dynamics", "pre", "pos", "success_ratio", "stopping", "_streams")
 
     def __init__(self, config: ImitationConfig, task: Task, policy: Network) -> None:
         self.config = config
@@ -71,15 +79,17 @@ class SelfSupervisedImitation:
         environment, seeds = task.environment, task.seeds
         if environment.config.goal == GoalConfig():
             conditions = ", ".join(field.name for field in fields(GoalConfig))
-            raise UserError(f"env.goal: says of no episode that it succeeds; give {conditions}")
+            raise UserError(
+                f"env.goal: is empty; set one of {conditions}, so that ril knows which episodes "
+                "succeed"
+            )
         inputs = config.inverse_dynamics.inputs
         if config.inverse_dynamics.standardise == "change" and inputs != "change":
             raise UserError(
-                f"method.inverse_dynamics.standardise=change: inputs={inputs} have no change; "
-                "true scales all inputs, false none"
+                "method.inverse_dynamics.standardise=change: needs inputs=change, not "
+                f"inputs={inputs}; true scales all inputs, false none"
             )
         size, actions = environment.observation_size, environment.action_count
-
         self.inverse_dynamics = InverseDynamics(  # line 1: M_θ
             Network.initialise(
                 mlp(config.network, 2 * size, actions), seeds, "inverse dynamics", task.device
@@ -89,17 +99,11 @@ class SelfSupervisedImitation:
             fused=worth_compiling(task.compile, config.epochs * config.inverse_dynamics.updates),
         )
         self.expert_states = torch.from_numpy(task.expert.observations).to(task.device)  # line 3
-        self.expert_next = torch.from_numpy(task.expert.next_observations).to(task.device)
-        self.cloning = Cloning(
-            policy,
-            config.cloning,
-            Streams(seeds, "cloning batches"),
-            fused=worth_compiling(task.compile, config.epochs * config.cloning.updates),
-        )
+        self._expert_next = torch.from_numpy(task.expert.next_observations).to(task.device)
         capacity = config.goal_sampler.pre_steps_per_action * actions
         self.pre = Replay(len(seeds), capacity, size, task.device)
         self.pos = Replay(len(seeds), capacity, size, task.device)
-        self.positive_share = np.zeros(len(seeds))
+        self.success_ratio = np.zeros(len(seeds))
         self.confidence = torch.zeros(len(seeds), len(self.expert_states), device=task.device)
         self.stopping = StoppingRule(config.stopping, len(seeds))
         self._streams = {
@@ -108,7 +112,7 @@ class SelfSupervisedImitation:
         }
 
     def generate_pre(self) -> None:
-        """Lines 4–5: fill I^pre with what the untrained policy does, sampled from its softmax."""
+        """Fill I^pre with steps of the untrained policy, sampled from its softmax (lines 4–5)."""
         if self.pre.sizes.any():
             return
         environments = Environments(self.task.environment, len(self.task.seeds) * _PRE_COPIES)
@@ -125,42 +129,31 @@ class SelfSupervisedImitation:
         if self.config.inverse_dynamics.standardise:
             self.inverse_dynamics.standardise(self.pre.everything())
 
-    def train(self, limit: float) -> tuple[Metrics, NDArray[np.int64]]:
-        """Lines 14 (of the epoch before) and 7 to 9; as `infer_actions`, then `clone`."""
-        metrics, labels = self.infer_actions(limit)
-        metrics["cloning_loss"] = self.clone(labels)
-        return metrics, labels.cpu().numpy()
-
-    def infer_actions(self, limit: float) -> tuple[Metrics, Tensor]:
-        """Lines 14 (of the epoch before), 7 and 8.
+    def sample_dataset(self, limit: float) -> Selection:
+        """Compose I^s of I^pre and I^pos (line 14, of the epoch before).
 
         Args:
-            limit: the most of I^pos that may enter I^s, by eq. 2; 1 is no limit.
-
-        Returns:
-            Diagnostics by name, each (S,), and the pseudo-labels Â (S, M).
+            limit: the largest share of I^pos that may enter I^s, by eq. 2; 1 is no limit.
         """
         uniform = self._streams["goal sampler"].uniform(self.pre.capacity + self.pos.capacity)
-        share = np.minimum(limit, self.positive_share)
+        share = np.minimum(limit, self.success_ratio)
         actions = self.task.environment.action_count
         keep_pre = self.config.goal_sampler.keep_pre
-        dataset = select(  # line 14: I^s
-            self.pre, self.pos, share, actions, uniform, keep_pre=keep_pre
-        )
-        inverse_dynamics_loss = self.inverse_dynamics.train(dataset)  # line 7
-        metrics = {"inverse_dynamics_loss": inverse_dynamics_loss.double().cpu().numpy()}
-        return metrics, self._label()  # line 8: Â
+        return select(self.pre, self.pos, share, actions, uniform, keep_pre=keep_pre)
 
-    def clone(self, labels: Tensor) -> NDArray[np.float64]:
-        """Line 9: the policy learns labels (S, M); its (S,) mean loss."""
-        return self.cloning.train(self.expert_states, labels).double().cpu().numpy()
+    def train(self, dataset: Selection) -> Tensor:
+        """Train M_θ on I^s (line 7); return each seed's mean loss (S,)."""
+        return self.inverse_dynamics.train(dataset)
 
-    def _label(self) -> Tensor:
-        """Line 8: (S, M) pseudo-labels Â, the likeliest or drawn from M_θ's softmax."""
-        states, following = self._for_all_seeds(self.expert_states, self.expert_next)
+    @torch.no_grad()
+    def infer_actions(self) -> Tensor:
+        """Label the expert's transitions (line 8); return Â (S, M).
+
+        A label is the likeliest action by M_θ, or one drawn from its softmax.
+        """
+        states, following = self._for_all_seeds(self.expert_states, self._expert_next)
         chunks = zip(_chunks(states), _chunks(following), strict=True)
-        with torch.no_grad():
-            logits = torch.cat([self.inverse_dynamics(*chunk) for chunk in chunks], dim=1)
+        logits = torch.cat([self.inverse_dynamics(*chunk) for chunk in chunks], dim=1)
         if self.config.inverse_dynamics.labels == "argmax":
             labels = logits.argmax(dim=-1)
         else:
@@ -169,18 +162,19 @@ class SelfSupervisedImitation:
         self.confidence = taken(logits.softmax(dim=-1), labels)
         return labels
 
-    def look_at_expert(self, cloning_loss: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """What the policy makes of the expert's states: whether to stop, and how much to explore.
+    @torch.no_grad()
+    def epsilon(self, cloning_loss: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        """Return each seed's chance to explore, and apply the stopping rule.
 
         Args:
-            cloning_loss: (S,) of this epoch, for the stopping rule; None leaves it alone.
+            cloning_loss: (S,) of this epoch; None where nothing was cloned, so that the stopping
+                rule does not apply.
 
         Returns:
-            (S,) ε: the policy's own exploration ratio (§3.4), or `exploration.epsilon`.
+            (S,) `exploration.epsilon`, or the policy's own exploration ratio (§3.4).
         """
-        with torch.no_grad():
-            (states,) = self._for_all_seeds(self.expert_states)
-            logits = torch.cat([self.policy(x) for x in _chunks(states)], dim=1)
+        (states,) = self._for_all_seeds(self.expert_states)
+        logits = torch.cat([self.policy(x) for x in _chunks(states)], dim=1)
         if cloning_loss is not None:
             self.stopping.update(logits.argmax(dim=-1).cpu().numpy(), cloning_loss)
         if self.config.exploration.epsilon is not None:
@@ -188,11 +182,11 @@ class SelfSupervisedImitation:
         uniform = self._streams["exploration ratio"].uniform(len(self.expert_states))
         return exploration_ratio(logits, uniform)
 
-    def remember(self, played: Sequence[Episodes]) -> Metrics:
-        """Line 12: append to I^pos what reached the goal.
+    def remember(self, played: Sequence[Episodes]) -> dict[str, NDArray[np.float64]]:
+        """Append the episodes that reached the goal to I^pos (line 12).
 
         Args:
-            played: this epoch's episodes; in each of these, as many of every seed, side by side.
+            played: this epoch's episodes; each entry has as many of every seed, side by side.
 
         Returns:
             Diagnostics by name, each (S,).
@@ -212,12 +206,12 @@ class SelfSupervisedImitation:
                 self.pos.append(episodes, keep=goal)
             goals.append(goal.reshape(seeds, -1))
             accuracies.append(self._accuracy(episodes).reshape(seeds, -1))
-        self.positive_share = np.concatenate(goals, axis=1).mean(axis=1)
+        self.success_ratio = np.concatenate(goals, axis=1).mean(axis=1)
         accuracy = np.concatenate(accuracies, axis=1).mean(axis=1)
-        return {"goals": self.positive_share, "inverse_dynamics_accuracy": accuracy}
+        return {"goals": self.success_ratio, "inverse_dynamics_accuracy": accuracy}
 
     def _accuracy(self, episodes: Episodes) -> NDArray[np.float64]:
-        """(S·N,) share of each own episode's actions that M_θ infers from its states."""
+        """Return (S·N,) the share of each episode's own actions that M_θ infers correctly."""
         size = episodes.observations.shape[-1]
         states, following = (
             torch.from_numpy(x).to(self.task.device).reshape(len(self.task.seeds), -1, size)
@@ -230,32 +224,10 @@ class SelfSupervisedImitation:
         return accuracy
 
     def _for_all_seeds(self, *shared: Tensor) -> list[Tensor]:
-        """Each (M, obs) to (S, M, obs), without copying."""
+        """Expand each (M, obs) to (S, M, obs) without copying."""
         return [x.expand(len(self.task.seeds), *x.shape) for x in shared]
-
-    def _stateful(self) -> dict[str, Any]:
-        """The parts that keep state of their own, by name."""
-        return {
-            "inverse_dynamics": self.inverse_dynamics,
-            "cloning": self.cloning,
-            "pre": self.pre,
-            "pos": self.pos,
-            "stopping": self.stopping,
-            **{f"{purpose} stream": streams for purpose, streams in self._streams.items()},
-        }
-
-    def state_dict(self) -> dict[str, Any]:
-        """All that the next epoch depends on; the policy belongs to the method."""
-        parts = {name: part.state_dict() for name, part in self._stateful().items()}
-        return {"positive_share": self.positive_share.tolist(), "parts": parts}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.positive_share = np.array(state["positive_share"])
-        for name, part in self._stateful().items():
-            part.load_state_dict(state["parts"][name])
 
 
 def _chunks(x: Tensor) -> list[Tensor]:
-    """(S, M, obs) in parts along M, so that activations of many trajectories fit in memory."""
+    """Split (S, M, obs) along M, so that activations of many trajectories fit in memory."""
     return [x[:, start : start + _CHUNK] for start in range(0, x.shape[1], _CHUNK)]

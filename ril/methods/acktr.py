@@ -21,8 +21,10 @@ from ril.learners.exploration import sample_softmax
 from ril.learners.kfac import KFAC, KFACConfig
 from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
+from ril.methods.spec import MethodSpec
 from ril.task import Task
 from ril.vectorized.networks import Network
+from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import Step, SteppedEnvironments
 from ril.vectorized.streams import Streams
 
@@ -43,13 +45,15 @@ class ACKTRConfig(MethodConfig):
     critic: KFACConfig = part(KFACConfig)
 
 
-class ACKTR:
+class ACKTR(Stateful):
     """S policies and S value functions, each with K environments, learning from rewards alone.
 
     Args:
         config: `method` of the configuration.
         task: environment and seeds; its expert is empty.
     """
+
+    STATE = ("epoch", "policy", "value", "actor", "critic", "environments", "_streams")
 
     def __init__(self, config: ACKTRConfig, task: Task) -> None:
         environment, seeds = task.environment, task.seeds
@@ -80,16 +84,8 @@ class ACKTR:
         while self.epoch < self.epochs:
             self.epoch += 1
             metrics = self._update(*self._rollout())
-            yield Progress(
-                self.epoch,
-                env_samples=np.full(
-                    self._seeds, self.random_steps + self.epoch * self.rollout_steps
-                ),
-                expert_samples=np.zeros(self._seeds, dtype=np.int64),
-                pre_samples=0,
-                stopped=np.zeros(self._seeds, dtype=bool),
-                metrics=metrics,
-            )
+            steps = self.random_steps + self.epoch * self.rollout_steps
+            yield Progress.of_rewards(self.epoch, self._seeds, steps, metrics)
 
     def _standardise(self) -> None:
         """Play random actions, and begin as if their states' mean were 0 and deviation 1."""
@@ -173,28 +169,6 @@ class ACKTR:
         array: Floats = split.transpose(0, 1).flatten(1).cpu().numpy()
         return array
 
-    def state_dict(self) -> dict[str, Any]:
-        """All that the next rollout and update depend on."""
-        return {
-            "epoch": self.epoch,
-            "policy": self.policy.flat,
-            "value": self.value.flat,
-            "actor": self.actor.state_dict(),
-            "critic": self.critic.state_dict(),
-            "environments": self.environments.state_dict(),
-            "streams": self._streams.state_dict(),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.epoch = state["epoch"]
-        self.policy.flat.copy_(state["policy"])
-        self.value.flat.copy_(state["value"])
-        self.actor.load_state_dict(state["actor"])
-        self.critic.load_state_dict(state["critic"])
-        self.environments.load_state_dict(state["environments"])
-        self._streams.load_state_dict(state["streams"])
-
 
 @torch.no_grad()
 def standardise_inputs(network: Network, states: Tensor) -> None:
@@ -208,3 +182,6 @@ def standardise_inputs(network: Network, states: Tensor) -> None:
     mean, deviation = states.mean(dim=1, keepdim=True), states.std(dim=1, keepdim=True)
     weight.div_(deviation.mT + 1e-3)  # which may be 0
     bias.sub_((mean.mT * weight).sum(dim=1, keepdim=True))
+
+
+SPEC = MethodSpec("acktr", ACKTRConfig, ACKTR, budget="total_timesteps")

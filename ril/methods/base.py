@@ -1,4 +1,4 @@
-"""What a method tells of its progress, and what it must be able to do."""
+"""What every method can do, and what it reports after each epoch."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from ril.vectorized.networks import Network
 
+#: Diagnostics of an epoch by name, each (S,).
+Metrics = dict[str, NDArray[np.float64]]
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -18,14 +21,14 @@ class Progress:
 
     Attributes:
         epoch: epochs done, from 1.
-        env_samples: (S,) environment steps learnt from so far (§5.2.2).
-        expert_samples: (S,) expert transitions learnt from so far, counted once per epoch.
-        pre_samples: random transitions kept for training before it began, per seed.
-        stopped: (S,) seeds whose training ended by the stopping rule at this epoch or before.
+        env_samples: (S,) environment steps trained on so far (§5.2.2).
+        expert_samples: (S,) expert transitions trained on so far, counted once per epoch.
+        pre_samples: random transitions collected before training, per seed.
+        stopped: (S,) seeds whose training the stopping rule ended at this epoch or before.
         metrics: named diagnostics, each (S,).
-        pseudo_labels: (S, M) actions given to the expert's transitions; None without.
-        can_act: whether the policy is one yet, so that it is worth looking at.
-        can_be_best: whether such a look may be the run's best.
+        pseudo_labels: (S, M) actions given to the expert's transitions; None for no labels.
+        can_act: whether the policy can act yet, so that it is worth evaluating.
+        can_be_best: whether this policy may be selected as the run's best.
     """
 
     epoch: int
@@ -33,17 +36,36 @@ class Progress:
     expert_samples: NDArray[np.int64]
     pre_samples: int
     stopped: NDArray[np.bool_]
-    metrics: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    metrics: Metrics = field(default_factory=dict)
     pseudo_labels: NDArray[np.int64] | None = None
     can_act: bool = True
     can_be_best: bool = True
 
+    @classmethod
+    def of_rewards(cls, epoch: int, seeds: int, steps: int, metrics: Metrics) -> Progress:
+        """Report an epoch of a method that sees no expert.
+
+        Args:
+            epoch: epochs done.
+            seeds: S.
+            steps: of each seed in its environments so far.
+            metrics: named diagnostics, each (S,).
+        """
+        return cls(
+            epoch,
+            env_samples=np.full(seeds, steps),
+            expert_samples=np.zeros(seeds, dtype=np.int64),
+            pre_samples=0,
+            stopped=np.zeros(seeds, dtype=bool),
+            metrics=metrics,
+        )
+
 
 class Method(Protocol):
-    """A learning algorithm over S seeds; the experiment owns time, the method only learning.
+    """A learning algorithm over S seeds; the run decides when it trains, is evaluated and stops.
 
     Attributes:
-        policy: scaled observations to one output per action, of which the largest is taken.
+        policy: scaled observations to one output per action, of which the largest is chosen.
         epochs: how many `train` yields, unless the stopping rule ends it before.
     """
 
@@ -53,10 +75,10 @@ class Method(Protocol):
     def epochs(self) -> int: ...  # noqa: D102
 
     def train(self) -> Iterator[Progress]:
-        """Learn, yielding after each epoch; a loaded state goes on with the next one."""
+        """Train, yielding after each epoch; after `load_state_dict`, resume with the next one."""
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the next epoch depends on."""
+        """Return all that the next epoch depends on."""
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
+        """Resume from a state that `state_dict` returned."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,8 +15,10 @@ from ril.demonstrations.trajectories import LabelledTransitions
 from ril.learners.cloning import Cloning, CloningConfig
 from ril.learners.topology import NetworkConfig, initial_policy
 from ril.methods.base import Progress
+from ril.methods.spec import MethodSpec
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 
 
@@ -30,13 +31,15 @@ class BCConfig(MethodConfig):
     cloning: CloningConfig = part(CloningConfig)
 
 
-class BC:
+class BC(Stateful):
     """S policies cloned from one expert; RIL's line 9 with true labels, and nothing else.
 
     Args:
         config: `method` of the configuration.
         task: environment, the expert's states and actions, seeds.
     """
+
+    STATE = ("epoch", "policy", "cloning")
 
     def __init__(self, config: BCConfig, task: Task) -> None:
         assert isinstance(task.expert, LabelledTransitions)
@@ -69,13 +72,5 @@ class BC:
                 metrics={"cloning_loss": loss.double().cpu().numpy()},
             )
 
-    def state_dict(self) -> dict[str, Any]:
-        """All that the next epoch depends on."""
-        cloning = self.cloning.state_dict()
-        return {"epoch": self.epoch, "policy": self.policy.flat, "cloning": cloning}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.epoch = state["epoch"]
-        self.policy.flat.copy_(state["policy"])
-        self.cloning.load_state_dict(state["cloning"])
+SPEC = MethodSpec("bc", BCConfig, BC, expert="states and actions", compiles=True)

@@ -1,14 +1,13 @@
 """Deep Q-networks: RIL's Q-learning alone (Mnih et al., 2013), or with what came after.
 
-`method=dqn` is the paper's DQN₁. `method=dqn_prioritized` is its DQN₂: prioritised replay (Schaul
-et al., 2015), double targets (van Hasselt et al., 2016), dueling streams (Wang et al., 2016).
+`method=dqn` is the paper's DQN₁. With prioritized replay (Schaul et al., 2015), double targets (van
+Hasselt et al., 2016) and dueling streams (Wang et al., 2016) it is DQN₂, in `dqn_prioritized.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,10 @@ from ril.config.schema import MethodConfig
 from ril.learners.online_q_learning import EPOCHS, OnlineQLearning, OnlineQLearningConfig
 from ril.learners.topology import NetworkConfig, mlp
 from ril.methods.base import Progress
+from ril.methods.spec import EPSILON, TD_LOSS, MethodSpec
 from ril.task import Task
 from ril.vectorized.networks import Architecture, Dueling, Network
+from ril.vectorized.state import Stateful
 
 
 @dataclass
@@ -50,13 +51,15 @@ def topology(config: DQNConfig, task: Task) -> Architecture:
     return Dueling(replace(values, outputs=1), values) if config.dueling else values
 
 
-class DQN:
+class DQN(Stateful):
     """S agents that learn the value of each action from rewards alone.
 
     Args:
         config: `method` of the configuration.
         task: environment and seeds; its expert is empty.
     """
+
+    STATE = ("epoch", "policy", "q_learning")
 
     def __init__(self, config: DQNConfig, task: Task) -> None:
         self.config = config
@@ -74,14 +77,7 @@ class DQN:
             self.epoch += 1
             until = self.epoch * self.config.total_timesteps // self.epochs
             metrics = self.q_learning.advance(until, self._epsilon(until))
-            yield Progress(
-                self.epoch,
-                env_samples=np.full(self._seeds, until),
-                expert_samples=np.zeros(self._seeds, dtype=np.int64),
-                pre_samples=0,
-                stopped=np.zeros(self._seeds, dtype=bool),
-                metrics=metrics,
-            )
+            yield Progress.of_rewards(self.epoch, self._seeds, until, metrics)
 
     def _epsilon(self, until: int) -> NDArray[np.float64]:
         """(T, S) chances to explore in the next steps: at first any action, then along the line."""
@@ -92,16 +88,7 @@ class DQN:
         epsilon[steps < self.config.q_learning.learning_starts] = 1.0
         return np.tile(epsilon[:, None], self._seeds)
 
-    def state_dict(self) -> dict[str, Any]:
-        """All that the next step depends on."""
-        return {
-            "epoch": self.epoch,
-            "policy": self.policy.flat,
-            "q_learning": self.q_learning.state_dict(),
-        }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.epoch = state["epoch"]
-        self.policy.flat.copy_(state["policy"])
-        self.q_learning.load_state_dict(state["q_learning"])
+SPEC = MethodSpec(
+    "dqn", DQNConfig, DQN, budget="total_timesteps", compiles=True, shown=(TD_LOSS, EPSILON)
+)

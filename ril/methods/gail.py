@@ -21,6 +21,7 @@ from ril.learners.discriminator import Discriminator, DiscriminatorConfig, state
 from ril.learners.ppo import PPOAgent, PPOConfig, actor_topology
 from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
+from ril.methods.spec import MethodSpec, Shown
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.processes import Spread
@@ -114,3 +115,13 @@ def _improved(agent: PPOAgent, rewards: Floats) -> Tensor:
     """A policy step; returns the actor after it."""
     agent.improve(rewards)
     return agent.actor()
+
+
+SPEC = MethodSpec(
+    "gail",
+    GAILConfig,
+    GAIL,
+    expert="states and actions",
+    budget="total_timesteps",
+    shown=(Shown("discriminator", "discriminator_accuracy", ".0%"),),
+)

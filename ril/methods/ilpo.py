@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -26,10 +25,12 @@ from ril.learners.latent_policy import (
     nearest_latents,
 )
 from ril.methods.base import Progress
+from ril.methods.spec import MethodSpec, Shown
 from ril.task import Task
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, parameter_count
 from ril.vectorized.replay import at, random_indices
+from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
@@ -56,13 +57,18 @@ class ILPOConfig(MethodConfig):
     remapping: RemappingConfig = part(RemappingConfig)
 
 
-class ILPO:
+class ILPO(Stateful):
     """S agents that learn a latent policy from the expert's states, then what its actions are.
 
     Args:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
     """
+
+    STATE = (
+        *("epoch", "steps", "policy", "_latent_optimizer", "_remapping_optimizer"),
+        *("environments", "_streams", "_latent_loss", "_seen", "_taken"),
+    )
 
     def __init__(self, config: ILPOConfig, task: Task) -> None:
         latent, remapping = config.latent_policy, config.remapping
@@ -186,37 +192,6 @@ class ILPO:
         self._taken[:, self.steps] = actions[:, 0]
         self.steps += 1
 
-    def _stateful(self) -> dict[str, Any]:
-        """The parts that keep state of their own, by name."""
-        return {
-            "latent_optimizer": self._latent_optimizer,
-            "remapping_optimizer": self._remapping_optimizer,
-            "environments": self.environments,
-            **self._streams,
-        }
-
-    def state_dict(self) -> dict[str, Any]:
-        """All that the next epoch depends on."""
-        return {
-            "epoch": self.epoch,
-            "steps": self.steps,
-            "policy": self.policy.flat,
-            "latent_loss": self._latent_loss,
-            "seen": self._seen,
-            "taken": self._taken,
-            "parts": {name: part.state_dict() for name, part in self._stateful().items()},
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.epoch, self.steps = state["epoch"], state["steps"]
-        self.policy.flat.copy_(state["policy"])
-        self._latent_loss.copy_(state["latent_loss"])
-        self._seen.copy_(state["seen"])
-        self._taken.copy_(state["taken"])
-        for name, part in self._stateful().items():
-            part.load_state_dict(state["parts"][name])
-
 
 def _unit_of_changes(name: str, environment: Environment, changes: Tensor) -> Tensor:
     """(obs,) by what scaled changes (M, obs) are multiplied before they are predicted (L2)."""
@@ -226,3 +201,12 @@ def _unit_of_changes(name: str, environment: Environment, changes: Tensor) -> Te
         deviation = changes.std(dim=0)
         return torch.where(deviation > 0, 1 / deviation, torch.ones_like(deviation))
     return torch.ones_like(changes[0])
+
+
+SPEC = MethodSpec(
+    "ilpo",
+    ILPOConfig,
+    ILPO,
+    expert="states",
+    shown=(Shown("latent loss", "latent_loss"), Shown("remapping loss", "remapping_loss")),
+)

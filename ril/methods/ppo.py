@@ -17,6 +17,7 @@ from ril.config.fields import part
 from ril.config.schema import MethodConfig
 from ril.learners.ppo import PPOAgent, PPOConfig, actor_topology
 from ril.methods.base import Progress
+from ril.methods.spec import MethodSpec
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.processes import Spread
@@ -68,16 +69,11 @@ class PPO:
             self.epoch += 1
             actors, diagnostics = zip(*self.agents.each(_rollout_and_update), strict=True)
             self.policy.flat.copy_(torch.stack(actors))
-            yield Progress(
-                self.epoch,
-                env_samples=np.full(seeds, self.epoch * self.rollout_steps),
-                expert_samples=np.zeros(seeds, dtype=np.int64),
-                pre_samples=0,
-                stopped=np.zeros(seeds, dtype=bool),
-                metrics={
-                    name: np.array([each[name] for each in diagnostics]) for name in diagnostics[0]
-                },
-            )
+            metrics = {
+                name: np.array([each[name] for each in diagnostics]) for name in diagnostics[0]
+            }
+            steps = self.epoch * self.rollout_steps
+            yield Progress.of_rewards(self.epoch, seeds, steps, metrics)
 
     def state_dict(self) -> dict[str, Any]:
         """All that the next epoch depends on."""
@@ -95,3 +91,6 @@ def _rollout_and_update(agent: PPOAgent) -> tuple[Tensor, dict[str, float]]:
     agent.collect()
     agent.improve()
     return agent.actor(), agent.diagnostics()
+
+
+SPEC = MethodSpec("ppo", PPOMethodConfig, PPO, budget="total_timesteps")

@@ -4,177 +4,250 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from omegaconf import MISSING
 from torch import Tensor
 
 from ril.config.fields import part
 from ril.io.errors import UserError
+from ril.learners.cloning import Cloning
 from ril.learners.exploration import Explorer
 from ril.learners.goal_sampler import positive_limit
-from ril.learners.imitation import ImitationConfig, Metrics, SelfSupervisedImitation
+from ril.learners.imitation import ImitationConfig, SelfSupervisedImitation
 from ril.learners.q_learning import QLearning, TargetNetworkConfig
 from ril.learners.topology import initial_policy
-from ril.methods.base import Progress
+from ril.methods.base import Metrics, Progress
+from ril.methods.spec import EPSILON, INVERSE_DYNAMICS, TD_LOSS, MethodSpec
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 
 
 @dataclass
 class QLearningConfig(TargetNetworkConfig):
-    """π_φ's reinforcement half (Alg. 1, line 13)."""
+    """RIL's reinforcement half (Alg. 1, line 13)."""
 
     replay_trajectories: float = MISSING
 
 
 @dataclass
 class RILConfig(ImitationConfig):
-    """`conf/method/ril.yaml`: Reinforced Imitation Learning."""
+    """`conf/method/ril.yaml`."""
 
     imitation: bool = MISSING
     reinforcement: bool = MISSING
     q_learning: QLearningConfig = part(QLearningConfig)
 
 
-class RIL:
-    """S agents that imitate one expert's states and correct themselves by Q-learning.
+class Cloner(Protocol):
+    """Line 9: what trains the policy to take the labels at the expert's states."""
+
+    def train(self, observations: Tensor, labels: Tensor) -> Tensor:
+        """Train on states (M, obs) with labels (S, M); return each seed's mean loss (S,)."""
+
+
+class Correction(Protocol):
+    """Line 13: what corrects the policy by the rewards of its own episodes."""
+
+    def train(self, epoch: int, episodes: Episodes, labels: Tensor | None) -> Metrics:
+        """Train on one episode of each seed.
+
+        Args:
+            epoch: from 1.
+            episodes: S of them, in the order of the seeds.
+            labels: (S, M) of line 8; None without imitation.
+        """
+
+
+class Algorithm1(Stateful):
+    """S agents that imitate one expert's states and correct themselves by rewards.
 
     Args:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
+        policy: π_φ.
+        imitation: lines 3–5, 7, 8, 12 and 14.
+        cloner: line 9; None leaves out all of imitation.
+        correction: line 13; None leaves it out.
     """
 
-    def __init__(self, config: HalvesConfig, task: Task) -> None:
-        if not (config.imitation or config.reinforcement):
-            raise UserError(
-                "method.imitation=false method.reinforcement=false: nothing would learn"
-            )
+    STATE = ("epoch", "env_samples", "policy", "imitation", "explorer", "cloner", "correction")
+
+    def __init__(
+        self,
+        config: ImitationConfig,
+        task: Task,
+        policy: Network,
+        imitation: SelfSupervisedImitation,
+        cloner: Cloner | None,
+        correction: Correction | None,
+    ) -> None:
         self.config = config
         self.task = task
         self.epochs = config.epochs
-        self.policy = self._policy()  # line 2: π_φ
-        self.imitation = SelfSupervisedImitation(config, task, self.policy)  # lines 1 and 3
-        self.explorer = Explorer(config.exploration, task, self.policy)
+        self.policy = policy
+        self.imitation = imitation
+        self.cloner = cloner
+        self.correction = correction
+        # Without line 13 the policy is the same in all of an epoch's episodes, so that they can be
+        # played side by side.
+        self.rounds = 1 if correction is None else config.episodes
+        side_by_side = config.episodes // self.rounds
+        self.explorer = Explorer(config.exploration, task, policy, side_by_side)
         self.epoch = 0
         self.env_samples = np.zeros(len(task.seeds), dtype=np.int64)
 
-    def _policy(self) -> Network:
-        """π_φ, with what corrects it by rewards."""
-        config, task = self.config, self.task
-        assert isinstance(config, RILConfig)
-        policy, q_learning = initial_policy(config.network, task), config.q_learning
-        self.q_learning = QLearning(
-            policy,
-            empty_memory(q_learning.replay_trajectories, task),
-            q_learning,
-            Streams(task.seeds, "replay batches"),
-            fused=worth_compiling(
-                task.compile, config.epochs * config.episodes * q_learning.updates
-            ),
-        )
-        return policy
-
     def train(self) -> Iterator[Progress]:
-        """Algorithm 1, from line 4 on; yields after each epoch."""
-        imitation = self.imitation
-        if self.config.imitation:
-            imitation.generate_pre()  # lines 4–5
-        while self.epoch < self.epochs and not imitation.stopping.stopped.all():  # line 6
-            self.epoch += 1
-            metrics: Metrics = {}
-            labels = None
-            if self.config.imitation:
-                metrics, labels = imitation.infer_actions(self._limit())  # lines 14, 7 and 8
-                metrics["cloning_loss"] = self._clone(labels)  # line 9
-            epsilon = imitation.look_at_expert(metrics.get("cloning_loss"))
-            metrics["epsilon"] = epsilon
-            metrics |= self._solve_environments(epsilon, labels)  # lines 10–13
-            yield Progress(
-                self.epoch,
-                self.env_samples.copy(),
-                np.full_like(self.env_samples, self._expert_samples()),
-                imitation.pre.capacity if self.config.imitation else 0,
-                imitation.stopping.stopped.copy(),
-                metrics,
-                None if labels is None else labels.cpu().numpy(),
+        """Run Algorithm 1 from line 4 on; yield after each epoch."""
+        while self.epoch < self.epochs and not self.imitation.stopping.stopped.all():  # line 6
+            yield self.train_epoch()
+
+    def train_epoch(self) -> Progress:
+        """Run lines 7 to 14 once; before the first time, lines 4 and 5."""
+        imitation, metrics, labels = self.imitation, {}, None
+        if self.cloner is not None:
+            imitation.generate_pre()  # lines 4–5: I^pre, once
+            dataset = imitation.sample_dataset(self._limit())  # line 14: I^s
+            metrics["inverse_dynamics_loss"] = _array(imitation.train(dataset))  # line 7: M_θ
+            labels = imitation.infer_actions()  # line 8: Â
+            metrics["cloning_loss"] = _array(  # line 9: π_φ
+                self.cloner.train(imitation.expert_states, labels)
             )
-
-    def _limit(self) -> float:
-        """Equation 2, for line 14 of the epoch before."""
-        if not self.config.goal_sampler.upper_limit:
-            return 1.0
-        return positive_limit(self.epoch - 1, self.task.ablation.n, self.task.ablation.k)
-
-    def _clone(self, labels: Tensor) -> NDArray[np.float64]:
-        """Line 9; returns (S,) the loss."""
-        return self.imitation.clone(labels)
-
-    def _solve_environments(self, epsilon: NDArray[np.float64], labels: Tensor | None) -> Metrics:
-        """Lines 10–13: play |E| episodes, remember them, learn from each."""
+        self.epoch += 1
+        epsilon = imitation.epsilon(metrics.get("cloning_loss"))
+        metrics["epsilon"] = epsilon
         played: list[Episodes] = []
         corrections: list[Metrics] = []
-        for _ in range(self.config.episodes):  # line 10
+        for _ in range(self.rounds):  # line 10: E
             episodes = self.explorer.play(epsilon)  # line 11
             played.append(episodes)
-            self.env_samples += episodes.lengths
-            if self.config.reinforcement:
-                corrections.append(self._correct(episodes, labels))  # line 13
-        metrics = {"training_return": np.mean([e.returns for e in played], axis=0)}
+            if self.correction is not None:
+                corrections.append(self.correction.train(self.epoch, episodes, labels))  # line 13
+        seeds = len(self.env_samples)
+        returns, lengths = (
+            np.concatenate([getattr(each, name).reshape(seeds, -1) for each in played], axis=1)
+            for name in ("returns", "lengths")
+        )
+        self.env_samples = self.env_samples + lengths.sum(axis=1)
+        metrics["training_return"] = returns.mean(axis=1)
         for name in corrections[0] if corrections else ():
             metrics[name] = np.mean([each[name] for each in corrections], axis=0)
-        if self.config.imitation:
-            metrics |= self.imitation.remember(played)  # line 12
-        return metrics
+        if labels is not None:
+            metrics |= imitation.remember(played)  # line 12: I^pos
+        return Progress(
+            self.epoch,
+            self.env_samples,
+            np.full(seeds, self.expert_samples),
+            0 if labels is None else imitation.pre.capacity,
+            imitation.stopping.stopped.copy(),
+            metrics,
+            None if labels is None else labels.cpu().numpy(),
+        )
 
-    def _correct(self, episodes: Episodes, labels: Tensor | None) -> Metrics:
-        """Line 13, after one episode of each seed; `labels` (S, M) are line 8's."""
+    def _limit(self) -> float:
+        """Equation 2: the largest share of I^pos in I^s."""
+        if not self.config.goal_sampler.upper_limit:
+            return 1.0
+        return positive_limit(self.epoch, self.task.ablation.n, self.task.ablation.k)
+
+    @property
+    def expert_samples(self) -> int:
+        """Expert transitions used so far, of each seed: T^e once per epoch (§5.2.2)."""
+        return 0 if self.cloner is None else self.epoch * len(self.task.expert.observations)
+
+
+class EpisodicQLearning(Stateful):
+    """Line 13 by Q-learning (eq. 1) on the policy's own outputs.
+
+    Args:
+        config: `method` of the configuration.
+        task: environment, expert states, seeds.
+        policy: π_φ, read as a Q-function.
+    """
+
+    STATE = ("q_learning",)
+
+    def __init__(self, config: RILConfig, task: Task, policy: Network) -> None:
+        self.updates = config.q_learning.updates
+        self.q_learning = QLearning(
+            policy,
+            empty_memory(config.q_learning.replay_trajectories, task),
+            config.q_learning,
+            Streams(task.seeds, "replay batches"),
+            fused=worth_compiling(task.compile, config.epochs * config.episodes * self.updates),
+        )
+
+    def train(self, epoch: int, episodes: Episodes, labels: Tensor | None) -> Metrics:
+        """Remember one episode of each seed and train on minibatches of the memory."""
         self.q_learning.replay.append(episodes)
-        loss = self.q_learning.train(self.q_learning.config.updates)
-        return {"td_loss": loss.double().cpu().numpy()}
+        return {"td_loss": _array(self.q_learning.train(self.updates))}
 
-    def _expert_samples(self) -> int:
-        """Expert transitions used so far: T^e once per epoch (§5.2.2)."""
-        return self.epoch * len(self.task.expert.observations) if self.config.imitation else 0
 
-    def _stateful(self) -> dict[str, Any]:
-        """The parts that keep state of their own, by name."""
-        return {
-            "imitation": self.imitation,
-            "q_learning": self.q_learning,
-            "explorer": self.explorer,
-        }
+def build(config: RILConfig, task: Task) -> Algorithm1:
+    """Make RIL: Algorithm 1 with Q-learning; either half may be left out."""
+    refuse_nothing(config.imitation, config.reinforcement)
+    policy = initial_policy(config.network, task)  # line 2: π_φ
+    return Algorithm1(
+        config,
+        task,
+        policy,
+        SelfSupervisedImitation(config, task, policy),  # lines 1 and 3
+        cloning(config, task, policy) if config.imitation else None,
+        EpisodicQLearning(config, task, policy) if config.reinforcement else None,
+    )
 
-    def state_dict(self) -> dict[str, Any]:
-        """All that the next epoch depends on; episodes are whole between epochs."""
-        return {
-            "epoch": self.epoch,
-            "policy": self.policy.flat,
-            "env_samples": self.env_samples.tolist(),
-            "parts": {name: part.state_dict() for name, part in self._stateful().items()},
-        }
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.epoch = state["epoch"]
-        self.policy.flat.copy_(state["policy"])
-        self.env_samples = np.array(state["env_samples"], dtype=np.int64)
-        for name, part in self._stateful().items():
-            part.load_state_dict(state["parts"][name])
+SPEC = MethodSpec(
+    "ril",
+    RILConfig,
+    build,
+    expert="states",
+    uses_equation_2=True,
+    compiles=True,
+    shown=(INVERSE_DYNAMICS, TD_LOSS, EPSILON),
+)
+
+
+def refuse_nothing(imitation: bool, reinforcement: bool) -> None:
+    """Refuse a configuration that leaves out both halves.
+
+    Raises:
+        UserError: it does.
+    """
+    if not (imitation or reinforcement):
+        raise UserError(
+            "method.imitation=false method.reinforcement=false: at least one must be true, "
+            "or nothing is trained"
+        )
+
+
+def cloning(config: ImitationConfig, task: Task, policy: Network) -> Cloning:
+    """Make line 9 for a policy."""
+    return Cloning(
+        policy,
+        config.cloning,
+        Streams(task.seeds, "cloning batches"),
+        fused=worth_compiling(task.compile, config.epochs * config.cloning.updates),
+    )
 
 
 def empty_memory(trajectories: float, task: Task) -> Replay:
-    """A replay memory of as many mean expert trajectories (§3.4)."""
+    """Make a replay memory for some mean expert trajectories (§3.4)."""
     size = task.environment.observation_size
     return Replay(len(task.seeds), steps_of(trajectories, task), size, task.device)
 
 
 def steps_of(trajectories: float, task: Task) -> int:
-    """How many transitions so many mean expert trajectories are."""
+    """Return the transitions in some mean expert trajectories."""
     return max(1, round(trajectories * task.expert.mean_length))
+
+
+def _array(losses: Tensor) -> Any:
+    """(S,) losses as an array of doubles."""
+    return losses.double().cpu().numpy()

@@ -1,13 +1,10 @@
-"""RIL whose two halves are one loss of one consistent network: docs/ril_consistent.md."""
+"""RIL whose two halves are one loss of one consistent network: docs/methods/ril_consistent.md."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from omegaconf import MISSING
 from torch import Tensor
 
@@ -15,87 +12,61 @@ from ril.config.fields import part
 from ril.io.errors import UserError
 from ril.learners.consistency import ConsistencyConfig, ConsistentLearning
 from ril.learners.goal_sampler import positive_limit
-from ril.learners.imitation import ImitationConfig, Metrics
+from ril.learners.imitation import ImitationConfig, SelfSupervisedImitation
 from ril.learners.topology import mlp
-from ril.methods.ril import RIL, empty_memory, steps_of
+from ril.methods.base import Metrics
+from ril.methods.ril import Algorithm1, cloning, empty_memory, refuse_nothing, steps_of
+from ril.methods.spec import EPSILON, INVERSE_DYNAMICS, TD_LOSS, MethodSpec
+from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Consistent, Network
 from ril.vectorized.rollout import Episodes
+from ril.vectorized.state import Stateful
 
 
 @dataclass
 class RILConsistentConfig(ImitationConfig):
-    """`conf/method/ril_consistent.yaml`: its halves in one consistent loss."""
+    """`conf/method/ril_consistent.yaml`."""
 
     imitation: bool = MISSING
     reinforcement: bool = MISSING
     q_learning: ConsistencyConfig = part(ConsistencyConfig)
 
 
-class ConsistentRIL(RIL):
-    """Algorithm 1 with lines 9 and 13 as one descent; without rewards line 9 is as in RIL.
+class BothHalves(Stateful):
+    """Lines 9 and 13 as one descent, after each episode.
 
     Args:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
+        learning: the consistent networks and their loss.
+        imitation: gives the labels their confidence.
     """
 
-    def _policy(self) -> Network:
-        config, task = self.config, self.task
-        assert isinstance(config, RILConsistentConfig)
-        settings = config.q_learning
-        size, actions = task.environment.observation_size, task.environment.action_count
-        steps = task.environment.max_episode_steps
-        if settings.n_steps > steps:  # nothing of an episode that is cut would be left
-            raise UserError(
-                f"method.q_learning.n_steps={settings.n_steps}: must be within 1..{steps}, "
-                "the steps of an episode"
-            )
-        architecture = Consistent(
-            replace(
-                mlp(config.network, size, 1),
-                hidden=tuple(settings.value_hidden),
-                attention=False,  # of one token, which adds a product and no information (D2)
-            ),
-            mlp(config.network, size, actions),
-            settings.temperature,
-            settings.value_scale,
-        )
-        recent = None
-        if settings.replay_recent is not None:
-            recent = steps_of(settings.replay_recent, task)
-        self.learning = ConsistentLearning(
-            Network.initialise(architecture, task.seeds, "policy", task.device),
-            empty_memory(settings.replay_trajectories, task),
-            settings,
-            task.seeds,
-            recent=recent,
-            # One of its updates is worth four of Q-learning's, whose networks it evaluates once.
-            fused=worth_compiling(
-                task.compile, 4 * config.epochs * config.episodes * settings.updates
-            ),
-        )
-        return self.learning.policy
+    STATE = ("learning",)
 
-    def _clone(self, labels: Tensor) -> NDArray[np.float64]:
-        """Line 9, which is left to line 13 where there is one; returns (S,) the loss so far."""
-        if not self.config.reinforcement:
-            return super()._clone(labels)
-        states = self.imitation.expert_states.expand(*labels.shape, -1)
-        with torch.no_grad():
-            losses = cross_entropy(self.policy(states), labels)
-        return losses.mean(dim=1).double().cpu().numpy()
+    def __init__(
+        self,
+        config: RILConsistentConfig,
+        task: Task,
+        learning: ConsistentLearning,
+        imitation: SelfSupervisedImitation,
+    ) -> None:
+        self.config = config
+        self.task = task
+        self.learning = learning
+        self.imitation = imitation
 
-    def _correct(self, episodes: Episodes, labels: Tensor | None) -> Metrics:
-        """Lines 9 and 13, after one episode of each seed."""
-        settings, ablation = self.learning.config, self.task.ablation
+    def train(self, epoch: int, episodes: Episodes, labels: Tensor | None) -> Metrics:
+        """Remember one episode of each seed and train on it and on the labels (lines 9, 13)."""
+        settings, ablation = self.config.q_learning, self.task.ablation
         self.learning.remember(episodes)
         rate, weight = settings.learning_rate, settings.imitation_weight
         if settings.anneal:
-            rate *= 1 - (self.epoch - 1) / self.epochs
+            rate *= 1 - (epoch - 1) / self.config.epochs
         if settings.fade:
-            weight *= 1 - positive_limit(self.epoch - 1, ablation.n, ablation.k)
+            weight *= 1 - positive_limit(epoch - 1, ablation.n, ablation.k)
         weights = None
         if labels is not None:
             weights = weight * (self.imitation.confidence >= settings.min_confidence)
@@ -107,9 +78,84 @@ class ConsistentRIL(RIL):
             metrics["cloning_loss"] = cloning_loss.double().cpu().numpy()
         return metrics
 
-    def _stateful(self) -> dict[str, Any]:
-        return {
-            "imitation": self.imitation,
-            "learning": self.learning,
-            "explorer": self.explorer,
-        }
+
+class DeferredCloning(Stateful):
+    """Line 9 where line 13 does its work: only measures the loss.
+
+    Args:
+        policy: π_φ.
+    """
+
+    STATE = ()
+
+    def __init__(self, policy: Network) -> None:
+        self.policy = policy
+
+    @torch.no_grad()
+    def train(self, observations: Tensor, labels: Tensor) -> Tensor:
+        """Return (S,) the loss at states (M, obs) with labels (S, M)."""
+        states = observations.expand(*labels.shape, -1)
+        return cross_entropy(self.policy(states), labels).mean(dim=1)
+
+
+def build(config: RILConsistentConfig, task: Task) -> Algorithm1:
+    """Make consistent RIL: Algorithm 1 with lines 9 and 13 as one descent.
+
+    Without rewards (`reinforcement=false`) line 9 is RIL's.
+
+    Raises:
+        UserError: `n_steps` is longer than an episode, or both halves are left out.
+    """
+    refuse_nothing(config.imitation, config.reinforcement)
+    learning = _learning(config, task)
+    policy = learning.policy
+    imitation = SelfSupervisedImitation(config, task, policy)
+    correction, cloner = None, None
+    if config.reinforcement:
+        correction = BothHalves(config, task, learning, imitation)
+    if config.imitation:
+        cloner = DeferredCloning(policy) if correction else cloning(config, task, policy)
+    return Algorithm1(config, task, policy, imitation, cloner, correction)
+
+
+def _learning(config: RILConsistentConfig, task: Task) -> ConsistentLearning:
+    """Make the networks and their loss."""
+    settings = config.q_learning
+    size, actions = task.environment.observation_size, task.environment.action_count
+    steps = task.environment.max_episode_steps
+    if settings.n_steps > steps:  # a truncated episode would leave no transition
+        raise UserError(
+            f"method.q_learning.n_steps={settings.n_steps}: must be within 1..{steps}, "
+            "the steps of an episode"
+        )
+    # Attention over one token would add a product and no information (D2).
+    value = replace(
+        mlp(config.network, size, 1), hidden=tuple(settings.value_hidden), attention=False
+    )
+    architecture = Consistent(
+        value, mlp(config.network, size, actions), settings.temperature, settings.value_scale
+    )
+    recent = None
+    if settings.replay_recent is not None:
+        recent = steps_of(settings.replay_recent, task)
+    # One of its updates costs as much as four of Q-learning's, which evaluate their network once.
+    updates = 4 * config.epochs * config.episodes * settings.updates
+    return ConsistentLearning(
+        Network.initialise(architecture, task.seeds, "policy", task.device),
+        empty_memory(settings.replay_trajectories, task),
+        settings,
+        task.seeds,
+        recent=recent,
+        fused=worth_compiling(task.compile, updates),
+    )
+
+
+SPEC = MethodSpec(
+    "ril_consistent",
+    RILConsistentConfig,
+    build,
+    expert="states",
+    uses_equation_2=True,
+    compiles=True,
+    shown=(INVERSE_DYNAMICS, TD_LOSS, EPSILON),
+)

@@ -1,4 +1,4 @@
-"""What a stopped run goes on from, and whether it is whole and of this very run."""
+"""Checkpoints from which a stopped run resumes, if they are whole and of the same run and code."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import torch
 from ril.io.errors import UserError, one_line
 from ril.io.files import tensor_bytes, write_atomically
 
-#: First line of the file; its number goes up whenever older files can no longer be gone on from.
-_HEAD = b"ril checkpoint 1\n"
+#: First line of the file; its number rises whenever earlier files can no longer be resumed.
+_HEAD = b"ril checkpoint 2\n"
 _DIGEST = hashlib.sha256().digest_size
-_ANEW = "delete it, or give resume=false, to start again"
+_AGAIN = "delete it, or give resume=false, to start again"
 
 
 def save_checkpoint(path: Path, origin: dict[str, str], state: dict[str, Any]) -> None:
@@ -23,11 +23,11 @@ def save_checkpoint(path: Path, origin: dict[str, str], state: dict[str, Any]) -
 
     Args:
         path: of the file.
-        origin: what must be the same when the run goes on; see `ril.run.provenance.origin`.
+        origin: what must be the same when the run resumes; see `ril.run.provenance.origin`.
         state: tensors and plain values.
 
     Raises:
-        WriteError: it cannot be written; the checkpoint before is still there.
+        WriteError: it cannot be written; the checkpoint before is kept.
     """
     content = tensor_bytes({"origin": origin, "state": state})
     # Reading tensors checks no sums, so a damaged number would go unseen.
@@ -50,7 +50,7 @@ def load_checkpoint(path: Path, origin: dict[str, str]) -> dict[str, Any]:
     try:
         data = path.read_bytes()
         if not data.startswith(_HEAD):
-            known = data.startswith((_HEAD[: _HEAD.rindex(b" ")], b"PK"))  # at first, torch's own
+            known = data.startswith(_HEAD[: _HEAD.rindex(b" ")])
             raise ValueError("of another version of ril" if known else "not a checkpoint of ril")
         content = memoryview(data)[len(_HEAD) + _DIGEST :]
         if hashlib.sha256(content).digest() != data[len(_HEAD) : len(_HEAD) + _DIGEST]:
@@ -67,12 +67,12 @@ def load_checkpoint(path: Path, origin: dict[str, str]) -> dict[str, Any]:
         )
         raise UserError(
             f"{path}: is of another run or other code ({then}; now {now}); "
-            f"go on with what it is of, or {_ANEW}"
+            f"resume with the code that wrote it, or {_AGAIN}"
         )
     return state
 
 
 def unreadable(path: Path, error: Exception) -> UserError:
-    """The mistake of a file that a run cannot go on from."""
+    """Return the error of a file from which a run cannot resume."""
     said = one_line(error) if type(error) is ValueError else type(error).__name__
-    return UserError(f"{path}: cannot be read ({said}); {_ANEW}")
+    return UserError(f"{path}: cannot be read ({said}); {_AGAIN}")

@@ -1,4 +1,4 @@
-"""What an experiment remembers of a run: its curve, and each seed's best and last policy."""
+"""The record of a run in training: its curve, and each seed's best and last policy."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Record:
         best_epoch: (S,) after which it was found.
         samples_to_best: (S,) samples used by then.
         epochs: (S,) epochs trained.
-        env_samples: (S,) environment steps learnt from.
-        expert_samples: (S,) expert transitions learnt from.
+        env_samples: (S,) environment steps trained on.
+        expert_samples: (S,) expert transitions trained on.
         pre_samples: random steps of I^pre, per seed.
     """
 
@@ -48,7 +48,7 @@ class Record:
         self.stopped = np.zeros(count, dtype=bool)
 
     def advance(self, progress: Progress, parameters: Tensor) -> NDArray[np.bool_]:
-        """Take in one epoch; returns (S,) the seeds that have just stopped."""
+        """Record one epoch; return (S,) whether each seed has just stopped."""
         live = ~self.stopped
         self.pre_samples = progress.pre_samples
         self.epochs[live] = progress.epoch
@@ -62,21 +62,21 @@ class Record:
     def evaluated(
         self,
         aer: NDArray[np.float64],
-        looked_at: NDArray[np.bool_],
+        evaluated: NDArray[np.bool_],
         metrics: dict[str, NDArray[np.float64]],
         *,
         may_be_best: bool = True,
     ) -> None:
-        """Take in an evaluation of the last policies.
+        """Record an evaluation of the current policies.
 
         Args:
             aer: (S,) mean returns.
-            looked_at: (S,) seeds that it counts for; they were still training in this epoch.
+            evaluated: (S,) seeds that it is for; they were still training in this epoch.
             metrics: diagnostics of the epoch by name, each (S,).
-            may_be_best: whether the policies may be their seeds' best ones.
+            may_be_best: whether these policies may be selected as their seeds' best.
         """
         samples = self.env_samples + self.expert_samples
-        for index in np.flatnonzero(looked_at).tolist():
+        for index in np.flatnonzero(evaluated).tolist():
             of_seed = {name: float(values[index]) for name, values in metrics.items()}
             self.curve.append(
                 CurvePoint(
@@ -89,14 +89,14 @@ class Record:
             )
         if not may_be_best:
             return
-        better = looked_at & (aer > self.best_aer)
+        better = evaluated & (aer > self.best_aer)
         self.best_aer[better] = aer[better]
         self.best_epoch[better] = self.epochs[better]
         self.samples_to_best[better] = samples[better]
         self.best[torch.from_numpy(better)] = self.last[torch.from_numpy(better)]
 
     def state_dict(self) -> dict[str, Any]:
-        """All of it, as tensors and plain values."""
+        """Return the whole record as tensors and plain values."""
         return {
             "curve": [asdict(point) for point in self.curve],
             "best": self.best,
@@ -108,7 +108,7 @@ class Record:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
+        """Resume from a state that `state_dict` returned."""
         self.curve = [CurvePoint(**point) for point in state["curve"]]
         self.best.copy_(state["best"])
         self.last.copy_(state["last"])

@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ril.environments import Floats
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 
 Parameters = Mapping[str, Tensor]  # by name, each (S, rows, columns)
@@ -226,7 +227,7 @@ def by_name(architecture: Architecture, flat: Tensor) -> dict[str, Tensor]:
     return views
 
 
-class Network:
+class Network(Stateful):
     """S networks of one architecture, whose parameters lie in one (S, P) buffer.
 
     Attributes:
@@ -234,6 +235,8 @@ class Network:
         flat: (S, P) all parameters; written in place by the optimiser.
         parameters: views of `flat` by name, each (S, rows, columns), the leaves of autograd.
     """
+
+    STATE = ("flat",)
 
     def __init__(self, architecture: Architecture, flat: Tensor) -> None:
         self.architecture = architecture

@@ -1,0 +1,80 @@
+"""What ril knows of a method without training it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ril.config.schema import MethodConfig
+from ril.demonstrations.trajectories import Demonstrations, StateTransitions
+from ril.environments import Environment
+from ril.methods.base import Method
+from ril.task import Task
+
+#: (environment, demonstrations, seeds, episodes) to returns (S, episodes).
+Measure = Callable[[Environment, Demonstrations, list[int], int], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A diagnostic that the display shows during training.
+
+    Attributes:
+        label: by which the display names it.
+        metric: its name in `Progress.metrics`.
+        form: format specification of its mean over seeds.
+    """
+
+    label: str
+    metric: str
+    form: str = ".4g"
+
+
+TD_LOSS = Shown("TD loss", "td_loss")
+EPSILON = Shown("ε", "epsilon", ".3f")
+INVERSE_DYNAMICS = Shown("inverse dynamics", "inverse_dynamics_accuracy", ".0%")
+
+
+@dataclass(frozen=True)
+class MethodSpec:
+    """A method, as `method=<name>` chooses it; each file of `ril/methods/` has its own `SPEC`.
+
+    Attributes:
+        name: of the method; also of its Python, YAML and documentation files.
+        config: dataclass of the keys below `method`.
+        build: makes the method; None for a reference, which learns nothing.
+        measure: of a reference, its returns.
+        expert: what it is given of the expert's trajectories.
+        budget: the key of `method` by which training ends; "" for a reference.
+        uses_equation_2: whether k and n can change its numbers.
+        compiles: whether `compile` can change the last bits of its numbers.
+        shown: diagnostics for the display.
+    """
+
+    name: str
+    config: type[MethodConfig]
+    build: Callable[[Any, Task], Method] | None = None
+    measure: Measure | None = None
+    expert: Literal["nothing", "states", "states and actions"] = "nothing"
+    budget: Literal["epochs", "total_timesteps", ""] = "epochs"
+    uses_equation_2: bool = False
+    compiles: bool = False
+    shown: tuple[Shown, ...] = ()
+
+    @property
+    def idle_ablations(self) -> tuple[str, ...]:
+        """Keys of `ablation` that cannot change the method's numbers."""
+        eq_2 = () if self.uses_equation_2 else ("k", "n")
+        return eq_2 if self.expert != "nothing" else (*eq_2, "trajectories")
+
+    def view(self, expert: Demonstrations, environment: Environment) -> StateTransitions:
+        """Return what the method is given of an expert's trajectories."""
+        if self.expert == "nothing":
+            return StateTransitions.none(environment)
+        if self.expert == "states":
+            return expert.states(environment)
+        return expert.labelled(environment)

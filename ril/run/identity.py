@@ -1,0 +1,37 @@
+"""What identifies a run: a hash of all that can change its numbers, and of nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from pathlib import Path
+
+from ril.config.schema import Config
+from ril.methods.registry import spec
+
+#: Keys that cannot change a number; the demonstrations enter by their content.
+_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes", "logging")
+
+
+def run_id(config: Config, demonstrations_sha256: str) -> str:
+    """Return ten hexadecimal digits that identify a run's numbers."""
+    content = dataclasses.asdict(config)
+    for key in _NOT_IN_RUN_ID:
+        del content[key]
+    del content["env"]["vectorized"]  # bit for bit equal
+    content["demonstrations"] = demonstrations_sha256
+    method = spec(config.method.name)
+    # What auto decides may differ between machines, as the last bits may anyway.
+    if config.compile == "auto" or not method.compiles:
+        del content["compile"]
+    for key in method.idle_ablations:
+        del content["ablation"][key]
+    canonical = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(canonical.encode()).hexdigest()[:10]
+
+
+def run_folder(config: Config, demonstrations_sha256: str) -> Path:
+    """Return where a cell's run is kept: `<output_dir>/<env>/<method>/<run_id>`."""
+    identifier = run_id(config, demonstrations_sha256)
+    return Path(config.output_dir) / config.env.name / config.method.name / identifier

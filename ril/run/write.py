@@ -1,0 +1,120 @@
+"""Write what a run leaves: configuration and provenance first, policies, curve, and rows last."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ril.io.errors import UserError
+from ril.io.files import write_atomically
+from ril.io.rows import Row, write_csv
+from ril.policy import save_policies
+from ril.run.earlier import DAMAGED
+from ril.run.prepare import Cell
+from ril.run.provenance import provenance
+from ril.run.training import Outcome
+from ril.vectorized.evaluation import random_returns
+
+
+def write_start(folder: Path, cell: Cell) -> str:
+    """Write `config.yaml` and `provenance.json`; return the commit of the run's first start.
+
+    Args:
+        folder: of the run.
+        cell: that is run.
+
+    Raises:
+        UserError: the provenance of the start that is resumed cannot be read.
+    """
+    now = provenance(cell.demonstrations_path, cell.demonstrations.sha256)
+    details = _with_first_start(folder, {"run_id": cell.run_id, **now})
+    settings = yaml.safe_dump(dataclasses.asdict(cell.config), sort_keys=False, allow_unicode=True)
+    write_atomically(folder / "config.yaml", settings.encode())
+    commit: str = details["commit"]
+    return commit
+
+
+def write_results(folder: Path, cell: Cell, outcome: Outcome, variant: str, commit: str) -> None:
+    """Write policies, curve and rows, and remove the checkpoint.
+
+    Args:
+        folder: of the run.
+        cell: that was run.
+        outcome: of its training.
+        variant: its keys with non-default values.
+        commit: of the code.
+    """
+    record = outcome.record
+    if outcome.architecture is not None:
+        save_policies(
+            folder / "policy.pt",
+            cell.environment,
+            outcome.architecture,
+            record.seeds,
+            best=record.best,
+            last=record.last,
+        )
+        write_csv(folder / "curve.csv", record.curve)
+    # A run with rows is a finished run, so they come last.
+    write_csv(folder / "results.csv", _rows(cell, outcome, variant, commit))
+    (folder / "checkpoint.pt").unlink(missing_ok=True)
+
+
+def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
+    """A row per seed."""
+    config, record = cell.config, outcome.record
+    random = float(random_returns(cell.environment, [0], config.evaluation.episodes).mean())
+    expert = float(cell.demonstrations.returns.mean())
+    aer = outcome.best.mean(axis=1)
+    performance = (aer - random) / (expert - random) if expert != random else aer * math.nan
+    ablation = dataclasses.asdict(config.ablation) | dict.fromkeys(cell.spec.idle_ablations)
+    return [
+        Row(
+            run_id=cell.run_id,
+            env=config.env.name,
+            method=config.method.name,
+            variant=variant,
+            seed=seed,
+            **ablation,
+            epochs=int(record.epochs[index]),
+            total_timesteps=getattr(config.method, "total_timesteps", None),
+            best_epoch=int(record.best_epoch[index]),
+            aer=float(aer[index]),
+            aer_std=float(outcome.best[index].std()),
+            aer_last=float(outcome.last[index].mean()),
+            performance=float(performance[index]),
+            env_samples=int(record.env_samples[index]),
+            expert_samples=int(record.expert_samples[index]),
+            pre_samples=record.pre_samples,
+            samples_to_best=int(record.samples_to_best[index]),
+            random_return=random,
+            expert_return_measured=expert,
+            wall_seconds=round(outcome.seconds, 2),
+            commit=commit,
+        )
+        for index, seed in enumerate(config.seeds)
+    ]
+
+
+def _with_first_start(folder: Path, details: dict[str, Any]) -> dict[str, Any]:
+    """Write the provenance; of a resumed run, that of its first start and a list of resumptions."""
+    path = folder / "provenance.json"
+    if (folder / "checkpoint.pt").exists():
+        try:
+            first: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            resumed = [*first.get("resumed", [])]
+            first["commit"]
+        except DAMAGED:
+            raise UserError(
+                f"{path}: cannot be read, so the run's first start is unknown; "
+                f"delete {folder}, or give resume=false, to start again"
+            ) from None
+        again = {key: details[key] for key in ("command", "started", "commit", "processor")}
+        details = first | {"resumed": [*resumed, again]}
+    write_atomically(path, json.dumps(details, indent=2).encode())
+    return details
