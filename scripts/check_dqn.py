@@ -29,7 +29,7 @@ from ril.config.schema import Config
 from ril.demonstrations.trajectories import StateTransitions
 from ril.environments import Environment, load_environment
 from ril.methods.dqn import DQN, DQNConfig
-from ril.run.evaluation import Evaluation
+from ril.vectorized.evaluation import Evaluation
 from ril.task import Task
 
 CHECKS = Path(__file__).resolve().parents[1] / "docs" / "checks"

@@ -7,8 +7,8 @@ import hydra
 import numpy as np
 from stable_baselines3 import DQN
 
-from ril.cli.run import store_schemas
-from ril.config.checks import from_hydra
+from ril.cli.configuration import store_schemas
+from ril.cli.configuration import from_hydra
 from ril.config.schema import Config
 from ril.environments import Environment
 from ril.io.paths import config_folder

@@ -22,13 +22,12 @@ from helpers.runs import (
 from hydra.core.global_hydra import GlobalHydra
 from hypothesis import settings
 
+from ril.cli.configuration import from_hydra
 from ril.cli.run import main
-from ril.config.checks import from_hydra
 from ril.config.schema import Config
-from ril.demonstrations.files import load_demonstrations
 from ril.environments import Environment, load_environment
 from ril.experts.collection import save
-from ril.methods.registry import METHODS
+from ril.run.prepare import prepare
 from ril.task import Task
 
 torch.set_num_threads(1)
@@ -93,13 +92,7 @@ def make_task() -> Callable[[Config], Task]:
     """What a method learns from, for a configuration that names its demonstrations."""
 
     def made(config: Config) -> Task:
-        environment = load_environment(config.env)
-        assert config.demonstrations is not None
-        demonstrations = load_demonstrations(Path(config.demonstrations), environment)
-        shown = demonstrations.first(config.ablation.trajectories)
-        expert = METHODS[config.method.name].shown(shown, environment)
-        device = torch.device("cpu")
-        return Task(environment, expert, tuple(config.seeds), config.ablation, device)
+        return prepare(config).task()
 
     return made
 

@@ -10,11 +10,10 @@ import torch
 from matched_dqn import composed
 
 from bench.clock import seconds, table
-from ril.config.checks import epochs_between_looks
 from ril.demonstrations.files import demonstrations_path, load_demonstrations
 from ril.environments import load_environment
 from ril.methods.registry import METHODS
-from ril.run.evaluation import Evaluation
+from ril.vectorized.evaluation import Evaluation
 from ril.task import Task
 
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar", "lunarlander")

@@ -22,7 +22,7 @@ from ril.environments import Environment
 from ril.io.paths import config_folder
 from ril.io.rows import Row, load_results
 from ril.policy import load_policy
-from ril.run.evaluation import Evaluation
+from ril.vectorized.evaluation import Evaluation
 
 SCRIPTS = Path(sys.executable).parent
 

@@ -20,10 +20,10 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from omegaconf import DictConfig, OmegaConf
 
 from ril.cli import sweep_progress
+from ril.cli.configuration import from_hydra
 from ril.cli.run import _for_each_cell
 from ril.cli.sweep import Cell, expand, plan
 from ril.cli.sweep_progress import SweepProgress
-from ril.config.checks import from_hydra
 from ril.io.errors import UserError
 
 Here = Callable[..., Ended]

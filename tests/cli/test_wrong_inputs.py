@@ -17,9 +17,10 @@ from hydra.core.global_hydra import GlobalHydra
 from ril.cli import expert as experts
 from ril.cli import report
 from ril.cli import run as cli
-from ril.config.checks import from_hydra, run_folder
+from ril.cli.configuration import from_hydra
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.environments import load_environment
+from ril.run.identity import run_folder
 from ril.run.record import Record
 
 PAGE = Path(__file__).parent / "wrong_inputs.md"

@@ -11,10 +11,11 @@ import pytest
 from helpers.runs import composed
 from omegaconf import MISSING, OmegaConf
 
-from ril.config.checks import epochs_between_looks, from_hydra, run_id
+from ril.cli.configuration import from_hydra
 from ril.config.schema import Config
 from ril.demonstrations.files import demonstrations_path, load_demonstrations
 from ril.io.errors import UserError
+from ril.run.identity import run_id
 
 NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 GYM = ("env=gym", "env.id=MountainCar-v0")

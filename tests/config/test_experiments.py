@@ -12,11 +12,11 @@ import pytest
 from helpers.runs import CARTPOLE, Ended, composed
 from hydra import compose, initialize_config_dir
 
-from ril.cli.run import store_schemas
-from ril.config.checks import from_hydra, run_id
+from ril.cli.configuration import from_hydra, store_schemas
 from ril.demonstrations.files import demonstrations_path
 from ril.io.paths import config_folder
 from ril.report.paper.tables import ENVIRONMENTS, TABLES, table
+from ril.run.identity import run_id
 
 ENVS = tuple(ENVIRONMENTS)
 BY_REWARDS = ("dqn", "dqn_prioritized", "ppo", "acktr")

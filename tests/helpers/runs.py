@@ -11,7 +11,7 @@ import hydra
 import numpy as np
 from omegaconf import DictConfig
 
-from ril.cli.run import store_schemas
+from ril.cli.configuration import store_schemas
 from ril.config.schema import Config
 from ril.environments import Environment
 from ril.experts.collection import Episode

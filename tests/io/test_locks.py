@@ -16,13 +16,13 @@ from typing import Any
 import pytest
 from helpers.runs import Silence
 
-from ril.config.checks import run_id
 from ril.demonstrations.files import load_demonstrations
 from ril.environments import Environment
 from ril.io import locks as locking
 from ril.io.errors import UserError
 from ril.io.locks import BusyError, claimed
 from ril.run.experiment import run
+from ril.run.identity import run_id
 
 HOLD = """
 import sys

@@ -11,8 +11,8 @@ import torch
 from ril.config.schema import Config
 from ril.methods.base import Progress
 from ril.methods.dqn import DQN
-from ril.run.evaluation import Evaluation
 from ril.task import Task
+from ril.vectorized.evaluation import Evaluation
 from ril.vectorized.networks import MLP, Dueling
 
 Make = Callable[..., DQN]

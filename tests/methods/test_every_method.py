@@ -18,7 +18,6 @@ from helpers.runs import Silence
 from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.config.checks import run_id
 from ril.config.schema import Config
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.environments import Environment
@@ -27,6 +26,7 @@ from ril.methods.base import Method, Progress
 from ril.methods.registry import METHODS
 from ril.policy import load_policy
 from ril.run.experiment import run
+from ril.run.identity import run_id
 from ril.task import Task
 from ril.vectorized.streams import Streams
 

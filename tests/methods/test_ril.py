@@ -18,8 +18,8 @@ from ril.learners.inverse_dynamics import InverseDynamics
 from ril.learners.q_learning import QLearning
 from ril.methods.base import Progress
 from ril.methods.ril import RIL
-from ril.run.evaluation import Evaluation
 from ril.task import Task
+from ril.vectorized.evaluation import Evaluation
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Environments, Episodes

@@ -21,9 +21,9 @@ from ril.learners.td import n_step
 from ril.methods.base import Progress
 from ril.methods.ril import RIL
 from ril.methods.ril_consistent import ConsistentRIL
-from ril.run.evaluation import Evaluation
 from ril.run.experiment import run
 from ril.task import Task
+from ril.vectorized.evaluation import Evaluation
 from ril.vectorized.networks import MLP, Consistent, Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes

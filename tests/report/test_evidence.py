@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from helpers.made_rows import ALONE, evidence, rows, setting
 
-from ril.cli.run import store_schemas
+from ril.cli.configuration import store_schemas
 from ril.io.paths import config_folder
 from ril.report.evidence import Evidence, command, fullest, shortfall
 from ril.report.paper.tables import TABLES, Setting, table

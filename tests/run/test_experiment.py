@@ -24,9 +24,9 @@ from ril.io.rows import Row
 from ril.methods.base import Progress
 from ril.policy import load_policy
 from ril.run import training
-from ril.run.evaluation import random_returns
 from ril.run.experiment import run
 from ril.run.record import Record
+from ril.vectorized.evaluation import random_returns
 from ril.vectorized.streams import Streams
 
 QuickRun = Callable[..., Path]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ril.environments import Environment, Floats
-from ril.run.evaluation import Evaluation, random_returns
+from ril.vectorized.evaluation import Evaluation, random_returns
 from ril.vectorized.streams import Streams
 
 
