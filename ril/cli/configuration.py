@@ -16,6 +16,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from ril.config.fields import check
 from ril.config.schema import Config
 from ril.io.errors import UserError
+from ril.io.paths import config_folder
 
 T = TypeVar("T")
 
@@ -55,8 +56,13 @@ def by_fidelity(choices: Mapping[str, Any], *, _root_: DictConfig) -> Any:
     return choices[_root_.fidelity]
 
 
+def choices(group: str) -> str:
+    """Resolve `${choices:method}` to the names of a group's files, for the help text."""
+    return ", ".join(sorted(file.stem for file in (config_folder() / group).glob("*.yaml")))
+
+
 # On import, so that the worker processes of a sweep have them too.
-for resolver in (by_env, by_fidelity):
+for resolver in (by_env, by_fidelity, choices):
     OmegaConf.register_new_resolver(resolver.__name__, resolver, replace=True)
 
 

@@ -1,4 +1,4 @@
-"""Behavioural cloning (Pomerleau, 1988): the policy learns the expert's true actions."""
+"""Behavioral cloning (Pomerleau, 1988): the policy learns the expert's true actions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class BCConfig(MethodConfig):
 
 
 class BC(Stateful):
-    """S policies cloned from one expert; RIL's line 9 with true labels, and nothing else.
+    """S policies cloned from one expert: RIL's line 9 alone, with true labels.
 
     Args:
         config: `method` of the configuration.
@@ -58,7 +58,7 @@ class BC(Stateful):
         self.epoch = 0
 
     def train(self) -> Iterator[Progress]:
-        """Minibatch steps of cross-entropy; yields after each epoch."""
+        """Train by minibatch steps of cross-entropy; yield after each epoch."""
         seeds = len(self._actions)
         while self.epoch < self.epochs:
             self.epoch += 1

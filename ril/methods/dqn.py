@@ -45,7 +45,7 @@ class DQNConfig(MethodConfig):
 
 
 def topology(config: DQNConfig, task: Task) -> Architecture:
-    """From scaled observations to a value per action."""
+    """Return the network from scaled observations to a value per action."""
     environment = task.environment
     values = mlp(config.network, environment.observation_size, environment.action_count)
     return Dueling(replace(values, outputs=1), values) if config.dueling else values
@@ -72,7 +72,7 @@ class DQN(Stateful):
         self._seeds = len(task.seeds)
 
     def train(self) -> Iterator[Progress]:
-        """Act and learn; yields after each thousandth of the budget."""
+        """Act and train; yield after each thousandth of the budget."""
         while self.epoch < self.epochs:
             self.epoch += 1
             until = self.epoch * self.config.total_timesteps // self.epochs
@@ -80,7 +80,7 @@ class DQN(Stateful):
             yield Progress.of_rewards(self.epoch, self._seeds, until, metrics)
 
     def _epsilon(self, until: int) -> NDArray[np.float64]:
-        """(T, S) chances to explore in the next steps: at first any action, then along the line."""
+        """Return (T, S) the chances to explore in the next T steps; 1 before `learning_starts`."""
         line = self.config.exploration
         steps = np.arange(self.q_learning.steps, until)
         fallen = np.minimum(1.0, steps / line.steps)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from omegaconf import MISSING
 from torch import Tensor
 from torch.nn import functional
@@ -27,6 +28,7 @@ from ril.learners.latent_policy import (
 from ril.methods.base import Progress
 from ril.methods.spec import MethodSpec, Shown
 from ril.task import Task
+from ril.vectorized.descent import train_on_minibatches
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, parameter_count
 from ril.vectorized.replay import at, random_indices
@@ -58,7 +60,7 @@ class ILPOConfig(MethodConfig):
 
 
 class ILPO(Stateful):
-    """S agents that learn a latent policy from the expert's states, then what its actions are.
+    """S agents that learn a latent policy from the expert's states, then remap its actions.
 
     Args:
         config: `method` of the configuration.
@@ -67,14 +69,15 @@ class ILPO(Stateful):
 
     STATE = (
         *("epoch", "steps", "policy", "_latent_optimizer", "_remapping_optimizer"),
-        *("environments", "_streams", "_latent_loss", "_seen", "_taken"),
+        *("environments", "_streams", "_latent_loss", "_latents_seen", "_actions_seen"),
     )
 
     def __init__(self, config: ILPOConfig, task: Task) -> None:
         latent, remapping = config.latent_policy, config.remapping
         if len(latent.encoder) != 2 or len(remapping.hidden) != 2:
             raise UserError(
-                "method.latent_policy.encoder, method.remapping.hidden: need two layers each"
+                f"method.latent_policy.encoder={latent.encoder}, "
+                f"method.remapping.hidden={remapping.hidden}: must have two layers each"
             )
         if remapping.steps % remapping.steps_per_epoch:
             raise UserError(
@@ -110,8 +113,8 @@ class ILPO(Stateful):
         self._changes = (following - self._states) * self._unit
         self.environments = SteppedEnvironments(environment, seeds, 1, "remapping")
         shape = (len(seeds), remapping.steps)
-        self._seen = torch.zeros(*shape, size + latents, device=task.device)
-        self._taken = torch.zeros(shape, dtype=torch.int64, device=task.device)
+        self._latents_seen = torch.zeros(*shape, size + latents, device=task.device)
+        self._actions_seen = torch.zeros(shape, dtype=torch.int64, device=task.device)
         self._streams = {
             purpose: Streams(seeds, purpose)
             for purpose in ("latent batches", "remapping exploration", "remapping batches")
@@ -121,7 +124,7 @@ class ILPO(Stateful):
         self.steps = 0
 
     def train(self) -> Iterator[Progress]:
-        """First the latent policy, then the remapping; yields after each epoch."""
+        """Train first the latent policy, then the remapping; yield after each epoch."""
         seeds = len(self.task.seeds)
         while self.epoch < self.epochs:
             self.epoch += 1
@@ -129,7 +132,7 @@ class ILPO(Stateful):
             if imitating:
                 self._latent_loss = self._learn_latent_policy()
                 metrics = {"latent_loss": self._latent_loss}
-            else:  # looked at now only, so the first step's loss goes on being told
+            else:  # policies are evaluated only now, so the first half's last loss is repeated
                 remapping_loss = self._learn_remapping()
                 metrics = {"latent_loss": self._latent_loss, "remapping_loss": remapping_loss}
             expert_epochs = min(self.epoch, self.config.epochs)
@@ -144,42 +147,43 @@ class ILPO(Stateful):
             )
 
     def _learn_latent_policy(self) -> Tensor:
-        """Minibatch steps on the expert's states; (S,) mean loss."""
+        """Train on minibatches of the expert's states; return (S,) mean losses."""
         config, architecture = self.config.latent_policy, self._architecture
         uniform = self._streams["latent batches"].uniform(config.updates, config.batch_size)
         sizes = np.full(len(self.task.seeds), len(self._states))
         indices = random_indices(uniform, sizes).to(self._states.device)
-        total = torch.zeros(len(sizes), device=self._states.device)
-        for chosen in indices.unbind(dim=1):
+
+        def step(chosen: Tensor) -> Tensor:
             predictions = architecture.predict(self.dynamics.parameters, self._states[chosen])
             losses = latent_loss(predictions, self._changes[chosen])
             self._latent_optimizer.step(losses)
-            total += losses.detach()
-        return total / config.updates
+            return losses.detach()
+
+        return train_on_minibatches(step, indices.unbind(dim=1))
 
     def _learn_remapping(self) -> Tensor:
-        """Steps in the environment, an update after each; (S,) mean loss."""
-        config, device = self.config.remapping, self._seen.device
+        """Act in the environment, with an update after each step; return (S,) mean losses."""
+        config, device = self.config.remapping, self._latents_seen.device
         steps, seeds = config.steps_per_epoch, len(self.task.seeds)
         exploring = torch.from_numpy(
             self._streams["remapping exploration"].uniform(steps, 2, 1)
         ).to(device)
         batches = self._streams["remapping batches"].uniform(steps, config.batch_size)
         epsilon = torch.full((seeds,), config.epsilon, device=device)
-        total = torch.zeros(seeds, device=device)
-        for step in range(steps):
-            self._act(exploring[:, step].transpose(0, 1), epsilon)
-            sizes = np.full(seeds, self.steps)
-            chosen = random_indices(batches[:, step], sizes).to(device)
-            logits = self.remapping(at(self._seen, chosen))
-            losses = cross_entropy(logits, at(self._taken, chosen)).mean(dim=1)
+
+        def step(uniform: Tensor, batch: NDArray[np.float32]) -> Tensor:
+            self._act(uniform.transpose(0, 1), epsilon)
+            chosen = random_indices(batch, np.full(seeds, self.steps)).to(device)
+            logits = self.remapping(at(self._latents_seen, chosen))
+            losses = cross_entropy(logits, at(self._actions_seen, chosen)).mean(dim=1)
             self._remapping_optimizer.step(losses)
-            total += losses.detach()
-        return total / steps
+            return losses.detach()
+
+        return train_on_minibatches(step, exploring.unbind(dim=1), batches.swapaxes(0, 1))
 
     @torch.no_grad()
     def _act(self, uniform: Tensor, epsilon: Tensor) -> None:
-        """One step of each seed; what was seen is the latent action that explains it best."""
+        """Take one step of each seed; store the latent action that explains the step best."""
         observations = self.environments.observations
         actions = explore(self.policy.infer(observations), epsilon, uniform, "uniform")
         step = self.environments.step(actions.flatten().cpu().numpy())
@@ -188,13 +192,13 @@ class ILPO(Stateful):
         predictions = self._architecture.predict(self.dynamics.parameters, before)
         latents = nearest_latents(predictions, (after - before) * self._unit)
         one_hot = functional.one_hot(latents, self._architecture.latents).to(before)
-        self._seen[:, self.steps] = torch.cat((before, one_hot), dim=-1)[:, 0]
-        self._taken[:, self.steps] = actions[:, 0]
+        self._latents_seen[:, self.steps] = torch.cat((before, one_hot), dim=-1)[:, 0]
+        self._actions_seen[:, self.steps] = actions[:, 0]
         self.steps += 1
 
 
 def _unit_of_changes(name: str, environment: Environment, changes: Tensor) -> Tensor:
-    """(obs,) by what scaled changes (M, obs) are multiplied before they are predicted (L2)."""
+    """Return (obs,) the factors on scaled changes (M, obs) before they are predicted (L2)."""
     if name == "raw":
         return torch.from_numpy((environment.high - environment.low) / 2).to(changes)
     if name == "standardised":
