@@ -1,4 +1,4 @@
-"""The documentation's numbered deviations as pieces of HTML, to be put into a page."""
+"""The documentation's numbered deviations as pieces of HTML for the report's page."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Entry:
 
     Attributes:
         number: "D4", of one document only.
-        title: what it is about; "" of a list's item, which says it in its first words.
-        body: the rest of it.
+        title: its subject; "" for an item of a list, whose first words are its subject.
+        body: the rest of its text.
     """
 
     number: str
@@ -48,35 +48,38 @@ class Document:
 
 
 def documents(folder: Path) -> list[Document]:
-    """All documents that have numbered deviations, first those that hold for all methods.
+    """Read all documents that have numbered deviations, `deviations.md` first.
 
-    Links between them lead to their places in one page; links to other files are plain text.
+    Links between these documents lead to their places in one page; links to other files become
+    plain text.
 
     Args:
-        folder: of Markdown files. Entries are second-level headings, or items of a list whose
-            first words are bold, that begin with a letter, a number and a full stop.
+        folder: of Markdown files, read with all of its subfolders. An entry is a second-level
+            heading, or an item of a list whose first words are bold, that begins with a letter, a
+            number and a full stop. Documents with entries have different file names.
     """
     markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
-    files = sorted(folder.glob("*.md"), key=lambda file: (file.stem != "deviations", file.stem))
-    texts = {file.stem: file.read_text(encoding="utf-8") for file in files}
-    parts = {name: list(_parts(text, markdown.parse(text))) for name, text in texts.items()}
-    kept = {name: entries for name, entries in parts.items() if entries}
-    markdown.core.ruler.push("links", partial(_within_the_page, names=set(kept)))
+    files = sorted(folder.rglob("*.md"), key=lambda file: (file.stem != "deviations", file))
+    texts = {file: file.read_text(encoding="utf-8") for file in files}
+    parts = {file: list(_parts(text, markdown.parse(text))) for file, text in texts.items()}
+    kept = {file: entries for file, entries in parts.items() if entries}
+    names = {file.stem for file in kept}
+    markdown.core.ruler.push("links", partial(_within_the_page, names=names))
     return [
         Document(
-            name,
-            Markup(markdown.renderInline(texts[name].partition("\n")[0].lstrip("# "))),
+            file.stem,
+            Markup(markdown.renderInline(texts[file].partition("\n")[0].lstrip("# "))),
             tuple(
                 Entry(number, Markup(markdown.renderInline(title)), Markup(markdown.render(body)))
                 for number, title, body in entries
             ),
         )
-        for name, entries in kept.items()
+        for file, entries in kept.items()
     ]
 
 
 def _parts(text: str, tokens: list[Token]) -> Iterator[tuple[str, str, str]]:
-    """Number, title and body of each entry, as Markdown."""
+    """Yield number, title and body of each entry, as Markdown."""
     lines = text.splitlines()
     heads = [token for token in tokens if token.type == "heading_open" and token.map]
     starts = [token.map[0] for token in heads if token.map]
@@ -94,7 +97,7 @@ def _parts(text: str, tokens: list[Token]) -> Iterator[tuple[str, str, str]]:
 
 
 def _within_the_page(state: StateCore, names: set[str]) -> None:
-    """Turn relative links into anchors where the page has the file, else into their text."""
+    """Turn relative links into anchors if the page has the file, otherwise into plain text."""
     for token in state.tokens:
         kept: list[Token] = []
         dropped = False

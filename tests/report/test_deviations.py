@@ -20,6 +20,18 @@ def test_no_number_is_given_twice() -> None:
     assert len(numbers) == len(set(numbers))
 
 
+def test_pages_of_subfolders_follow_the_general_ones(tmp_path: Path) -> None:
+    (tmp_path / "methods").mkdir()
+    (tmp_path / "methods" / "b.md").write_text("# B\n- **B1. Second.**\n")
+    (tmp_path / "methods" / "a.md").write_text(
+        "# A\nAs [all](../deviations.md).\n- **A1. First.**\n"
+    )
+    (tmp_path / "deviations.md").write_text("# All\n\n## D1. One\nSee [A](methods/a.md#x).\n")
+    found = documents(tmp_path)
+    assert [each.name for each in found] == ["deviations", "a", "b"]
+    assert found[0].entries[0].body == '<p>See <a href="#a">A</a>.</p>\n'
+
+
 def test_an_entry_ends_where_the_next_heading_begins(tmp_path: Path) -> None:
     text = "# All\nfirst\n\n## D1. One `x`\nof one\n\n## D2. Two\nof two\n\n## Other\nno entry\n"
     (tmp_path / "deviations.md").write_text(text)
