@@ -53,7 +53,7 @@ def read_minari(folder: Path, environment: Environment) -> Trajectories:
         raise
     except ImportError as error:
         raise DataError(
-            f"reading Minari needs pip install 'ril[minari]' ({one_line(error)})"
+            f"reading Minari needs pip install -e '.[minari]' ({one_line(error)})"
         ) from None
     except Exception as error:  # a damaged file has json, gymnasium, h5py and minari raise theirs
         raise DataError(

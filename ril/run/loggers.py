@@ -96,7 +96,7 @@ class TensorBoard:
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError as error:
-            raise ImportError(f"{error}; pip install 'ril[tensorboard]'") from None
+            raise ImportError(f"{error}; pip install -e '.[tensorboard]'") from None
         self._make = SummaryWriter
         self._writers: dict[str, Any] = {}
         self._seeds: Sequence[int] = ()

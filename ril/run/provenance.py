@@ -13,6 +13,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from ril import __version__
+
 _LIBRARIES = ("torch", "numpy", "gymnasium", "stable-baselines3", "hydra-core", "pandas")
 _PACKAGE = Path(__file__).parents[1]
 #: Packages whose code no number of a run can depend on.
@@ -44,7 +46,7 @@ def origin(identifier: str) -> dict[str, str]:
     """
     return {
         "run_id": identifier,
-        "ril": version("ril"),
+        "ril": __version__,
         "code": _code(),
         **{name: version(name) for name in _LIBRARIES[:4]},
     }
@@ -65,7 +67,7 @@ def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
     return {
         "command": command(),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "ril": version("ril"),
+        "ril": __version__,
         "commit": commit(),
         "python": platform.python_version(),
         "versions": {name: version(name) for name in _LIBRARIES},

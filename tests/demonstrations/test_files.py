@@ -394,7 +394,7 @@ def test_without_minari_its_extra_is_named(
     monkeypatch.setitem(sys.modules, "minari", None)
     (tmp_path / "metadata.json").write_text('{"observation_space": "", "action_space": ""}')
     assert refusal(tmp_path, mountaincar).startswith(
-        "reading Minari needs pip install 'ril[minari]'"
+        "reading Minari needs pip install -e '.[minari]'"
     )
 
 

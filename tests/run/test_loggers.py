@@ -165,7 +165,7 @@ def test_a_missing_package_is_one_line(
     ended = here("logging=tensorboard")
     assert (ended.status, ended.output) == (1, "")
     assert ended.errors.startswith("ril-run: logging=tensorboard: cannot be used (")
-    assert ended.errors.endswith("; pip install 'ril[tensorboard]')\n")
+    assert ended.errors.endswith("; pip install -e '.[tensorboard]')\n")
     assert not (tmp_path / "outputs").exists()
 
 
