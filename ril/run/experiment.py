@@ -94,11 +94,11 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     goes_on = f"; go on with {command()}" if config.resume else ""
     try:
         with (
-            claimed(wanted, beside=not config.resume, wait=say_who) as claim,
+            claimed(wanted, new=not config.resume, wait=say_who) as claim,
             stop_on_signals() as stop,
         ):
             folder = claim.folder
-            stop.at_once = method is None
+            stop.immediate = method is None
             if config.resume and has_rows(folder, config, identifier):
                 display.finished(folder / "results.csv", skipped=True)  # meanwhile, by another
                 return folder

@@ -15,7 +15,7 @@ from ril.config.schema import Config
 from ril.environments import Environment
 from ril.io.files import WriteError
 from ril.io.locks import Claim
-from ril.io.signals import Stop, Stopped
+from ril.io.signals import Stopped, StopRequest
 from ril.methods.base import Method, Progress
 from ril.run.checkpoints import load_checkpoint, save_checkpoint, unreadable
 from ril.run.evaluation import Evaluation
@@ -65,7 +65,7 @@ class Cell:
     method: Method
     expert_actions: NDArray[np.int64]
     claim: Claim
-    stop: Stop
+    stop: StopRequest
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def train_and_score(cell: Cell, display: Display) -> Outcome:
     record = Record(cell.config.seeds, cell.method.policy.flat)
     evaluation = Evaluation(cell.environment, cell.config.seeds)
     before = _train(cell, record, evaluation, display)
-    cell.stop.at_once = True  # what is left to do can be done again
+    cell.stop.immediate = True  # what is left to do can be done again
     if cell.stop.number is not None:
         raise Stopped("stopped before scoring", cell.stop.number)
     display.scoring()
