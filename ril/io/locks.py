@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import socket
+import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -115,9 +116,11 @@ def _new(folder: Path) -> Path:
 def _locked(folder: Path, wait: Callable[[str], object] | None) -> FileLock | None:
     """Make and lock a folder; returns None if its file system has no locks."""
     while True:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileExistsError):
-            folder.mkdir()
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            if any(map(_is_obstructed, (folder, *folder.parents))):
+                raise
         # Without locks, filelock would fall back to a file whose existence is the lock, which a
         # killed process leaves behind.
         lock = FileLock(folder / _LOCK, fallback_to_soft=False, poll_interval=_POLL_SECONDS)
@@ -131,13 +134,19 @@ def _locked(folder: Path, wait: Callable[[str], object] | None) -> FileLock | No
                 lock.acquire()
             return lock
         except (FileNotFoundError, FileExistsError):
-            if os.path.lexists(folder) and not folder.is_dir():
-                raise
-            # The holder has removed the empty folder: make it again.
+            continue  # the holder has removed the empty folder
         except OSError as error:
             if error.errno in _NO_LOCKS:
                 return None
             raise
+
+
+def _is_obstructed(path: Path) -> bool:
+    """Return whether a path is of something other than a folder, such as a broken link."""
+    try:
+        return not stat.S_ISDIR(path.stat().st_mode)
+    except OSError:
+        return path.is_symlink()
 
 
 def _signed(folder: Path) -> FileIO:

@@ -156,6 +156,16 @@ def test_a_folder_below_a_file_is_refused(tmp_path: Path, new: bool) -> None:
         pass
 
 
+@pytest.mark.parametrize("below", ["", "method"])
+def test_a_folder_below_a_broken_link_is_refused(tmp_path: Path, below: str) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    with (
+        pytest.raises(UserError, match=r"^output_dir: .*/cell cannot be written"),
+        claimed(tmp_path / "link" / below / "cell"),
+    ):
+        pass
+
+
 def test_a_file_in_the_folders_place_is_refused(folder: Path) -> None:
     folder.touch()
     said = rf"^output_dir: {folder} cannot be written \(File exists\)$"
