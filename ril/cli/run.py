@@ -70,7 +70,7 @@ def _run(composed: DictConfig) -> None:
         run(config, display, _variant(composed))
     except Stopped as stopped:
         print(f"ril-run: {stopped}", file=sys.stderr)
-        sys.exit(stopped.status)
+        sys.exit(stopped.exit_status)
     finally:
         shown.stop()
         if logger is not None:

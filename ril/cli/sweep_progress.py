@@ -76,12 +76,12 @@ class SweepProgress:
         watcher.start()
         try:
             with stop_on_signals() as stop:
-                stop.at_once = True  # the cells keep checkpoints
+                stop.immediate = True  # the cells keep checkpoints
                 yield
         except (Stopped, SystemExit) as end:  # the latter of a cell that was stopped
             said = f"ril-run: stopped with {self._done()}; the same command goes on"
             print(said, file=sys.stderr, flush=True)
-            sys.exit(end.status if isinstance(end, Stopped) else end.code)
+            sys.exit(end.exit_status if isinstance(end, Stopped) else end.code)
         finally:
             over.set()
             watcher.join()

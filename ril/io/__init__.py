@@ -1,1 +1,1 @@
-"""Rows, atomic files, locks, signals and errors; nothing here knows what a run or a method is."""
+"""Rows, files, locks, signals, errors and paths: input and output without runs or methods."""

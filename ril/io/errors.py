@@ -1,10 +1,13 @@
-"""Mistakes of the user, which end in one line instead of a traceback."""
+"""Errors that a user can correct; commands print them as one line without a traceback."""
 
 
-def one_line(said: object) -> str:
-    """What an error or a value says, without its line breaks."""
-    return " ".join(str(said).split())
+def one_line(value: object) -> str:
+    """Return the text of an error or a value without its line breaks."""
+    return " ".join(str(value).split())
 
 
 class UserError(Exception):
-    """Something the user gave cannot be used; the message names the key, the value, what may be."""
+    """A value or a file from the user cannot be used.
+
+    The message names the key and its value, or the file, and says what is allowed.
+    """

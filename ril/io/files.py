@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, even if the machine stops meanwhile."""
+"""Files that are written completely or not at all, even if the machine stops in between."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ Bytes = bytes | memoryview
 
 
 class WriteError(UserError):
-    """A file cannot be written: the disk is full, read-only or gone."""
+    """A file cannot be written, such as on a full or read-only disk."""
 
 
 def write_atomically(path: Path, *parts: Bytes) -> None:
-    """Write a file so that a reader sees all of it or none, whatever happens meanwhile.
+    """Write a file such that readers see its old or its new content, and never a part of it.
 
     Args:
-        path: of the file.
-        *parts: its content, one after another.
+        path: of the file, in an existing folder.
+        *parts: the content, one part after another.
 
     Raises:
-        WriteError: it cannot be; what was there before still is.
+        WriteError: the file cannot be written; its old content is unchanged.
     """
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with aside.open("wb") as file:
+        with temporary.open("wb") as file:
             for part in parts:
                 file.write(part)
             file.flush()
             os.fsync(file.fileno())
-        aside.replace(path)
+        temporary.replace(path)
         _sync_folder(path.parent)
     except OSError as error:
         raise WriteError(f"{path}: cannot be written ({error.strerror})") from None
     finally:
         with suppress(OSError):
-            aside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:
-    """Have the disk know of a renamed file, where a folder can be opened for that."""
+    """Flush a renamed file's folder entry to disk, where the system lets a folder be opened."""
     try:
         opened = os.open(folder, os.O_RDONLY)
     except PermissionError:
@@ -56,14 +56,21 @@ def _sync_folder(folder: Path) -> None:
         os.close(opened)
 
 
-def unfinished(folder: Path) -> Iterable[Path]:
-    """What `write_atomically` left of files when its process was killed."""
+def temporary_files(folder: Path) -> Iterable[Path]:
+    """Find the temporary files of killed processes that were in `write_atomically`."""
     return folder.glob(".*.tmp")
 
 
 def tensor_bytes(content: dict[str, Any]) -> memoryview:
-    """Tensors and plain values as bytes, to be read by `torch.load(…, weights_only=True)`."""
-    import torch  # here: who only reads rows need not wait for it
+    """Serialize tensors and plain values.
+
+    Args:
+        content: to serialize.
+
+    Returns:
+        What `torch.load(…, weights_only=True)` reads.
+    """
+    import torch  # here: reading rows does not need it, and importing it takes seconds
 
     buffer = io.BytesIO()
     torch.save(content, buffer)

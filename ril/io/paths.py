@@ -1,4 +1,4 @@
-"""Where the files that come with the package lie."""
+"""Where the files that ship with the package are."""
 
 from pathlib import Path
 
@@ -6,26 +6,29 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def config_folder() -> Path:
-    """Hydra's groups: `ril/conf` in an installed wheel, `conf` beside `ril` in a source tree.
+    """Find Hydra's config groups: `ril/conf` in an installed wheel, else `conf` beside `ril`.
 
     Raises:
-        FileNotFoundError: neither is there, so the installation is broken.
+        FileNotFoundError: both are missing, so the installation is broken.
     """
     return _shipped("conf", "env", "configuration")
 
 
 def docs_folder() -> Path:
-    """A page per method and `deviations.md`: `ril/docs` in an installed wheel, else `docs`.
+    """Find the documentation: `ril/docs` in an installed wheel, else `docs` beside `ril`.
 
     Raises:
-        FileNotFoundError: neither is there, so the installation is broken.
+        FileNotFoundError: both are missing, so the installation is broken.
     """
     return _shipped("docs", "deviations.md", "documentation")
 
 
-def _shipped(name: str, holds: str, what: str) -> Path:
-    """A folder of that name, within the package or beside it, that holds what it should."""
+def _shipped(name: str, content: str, description: str) -> Path:
+    """Find the folder of that name, in the package or beside it, that has the given content."""
     for folder in (_PACKAGE / name, _PACKAGE.parent / name):
-        if (folder / holds).exists():
+        if (folder / content).exists():
             return folder
-    raise FileNotFoundError(f"no {what} beside {_PACKAGE}; install ril again")
+    raise FileNotFoundError(
+        f"{description} is missing: neither {_PACKAGE / name} nor {_PACKAGE.parent / name} has "
+        f"{content}; install ril again"
+    )

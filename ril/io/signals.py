@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and SIGHUP, made to wait for a moment at which nothing is lost."""
+"""Ctrl-C, SIGTERM and SIGHUP, deferred to a moment at which no work is lost."""
 
 from __future__ import annotations
 
@@ -14,55 +14,67 @@ SIGNALS = tuple(
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal ended a run.
+    """A signal stopped a run.
 
     Args:
-        said: in one line, where it ended and how it goes on.
+        message: where the run stopped and how to resume it, in one line.
         number: of the signal.
 
     Attributes:
-        status: to exit with, as a shell would say it: 128 and the signal's number.
+        number: of the signal.
+        exit_status: of the command, by the shells' convention: 128 + the signal's number.
     """
 
-    def __init__(self, said: str, number: int) -> None:
-        super().__init__(said)
+    def __init__(self, message: str, number: int) -> None:
+        super().__init__(message)
         self.number = number
-        self.status = 128 + number
+        self.exit_status = 128 + number
 
 
-class Stop:
-    """Whether a run is asked to stop.
+class StopRequest:
+    """Whether a signal has asked the run to stop.
 
     Attributes:
-        number: of the signal that asked; None before.
-        at_once: whether a signal does not wait, since nothing would be lost.
+        number: of the first signal; None before it.
+        immediate: whether a signal raises `Stopped` at once; set it while there is no work to lose.
     """
 
     def __init__(self) -> None:
         self.number: int | None = None
-        self.at_once = False
+        self.immediate = False
 
     def on_signal(self, number: int, _: object) -> None:
-        """Remember a first signal; raise `Stopped` at a second, or if none is to wait."""
-        if self.at_once or self.number is not None:
-            raise Stopped("stopped at once", number)
+        """Record a first signal; a second one, or any one if `immediate`, stops the run.
+
+        Args:
+            number: of the signal.
+
+        Raises:
+            Stopped: the run is to stop now.
+        """
+        if self.immediate or self.number is not None:
+            raise Stopped("stopped immediately", number)
         self.number = number
 
 
 @contextmanager
-def stop_on_signals() -> Iterator[Stop]:
-    """Have signals wait until they are asked for; a second one does not wait.
+def stop_on_signals() -> Iterator[StopRequest]:
+    """Record signals in the block instead of stopping at them; a second signal stops at once.
 
-    Those that are ignored stay so, as nohup has SIGHUP.
+    Signals that the process ignores stay ignored, such as SIGHUP under nohup. Outside the main
+    thread, which alone can handle signals, this does nothing.
+
+    Returns:
+        The request, for the block to check wherever it can stop without losing work.
     """
-    stop = Stop()
+    request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
-        yield stop  # signals are not ours to handle
+        yield request
         return
-    heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, stop.on_signal) for number in heeded}
+    handled = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, request.on_signal) for number in handled}
     try:
-        yield stop
+        yield request
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

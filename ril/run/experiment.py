@@ -47,7 +47,7 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     resume = f"; resume with {command()}" if config.resume else ""
     try:
         with (
-            claimed(cell.folder, beside=not config.resume, wait=waits_for) as claim,
+            claimed(cell.folder, new=not config.resume, wait=waits_for) as claim,
             stop_on_signals() as stop,
         ):
             if config.resume and has_rows(claim.folder, config):  # of the process waited for
@@ -62,7 +62,7 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
             display.started(config, claim.folder, 0 if method is None else method.epochs)
             outcome: Outcome
             if method is None:
-                stop.at_once = True
+                stop.immediate = True
                 outcome = measure_reference(cell)
             else:
                 outcome = train_and_score(Run(cell, method, claim, stop), display)

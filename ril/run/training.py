@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ril.config.schema import Config
 from ril.io.files import WriteError
 from ril.io.locks import Claim
-from ril.io.signals import Stop, Stopped
+from ril.io.signals import Stopped, StopRequest
 from ril.methods.base import Method, Progress
 from ril.run.checkpoints import load_checkpoint, save_checkpoint, unreadable
 from ril.run.prepare import Cell
@@ -60,7 +60,7 @@ class Run:
     cell: Cell
     method: Method
     claim: Claim
-    stop: Stop
+    stop: StopRequest
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def train_and_score(run: Run, display: Display) -> Outcome:
     record = Record(config.seeds, run.method.policy.flat)
     evaluation = Evaluation(run.cell.environment, config.seeds)
     before = _train(run, record, evaluation, display)
-    run.stop.at_once = True  # scoring can be repeated
+    run.stop.immediate = True  # scoring can be repeated
     if run.stop.number is not None:
         raise Stopped("stopped before scoring", run.stop.number)
     display.scoring()

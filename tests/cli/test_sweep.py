@@ -327,4 +327,4 @@ def test_torn_rows_are_not_taken_for_a_finished_cell(here: Here, tmp_path: Path)
     ended = here(*command)
     assert ended.status == 1
     assert ended.output.startswith("sweep: 2 cells, 1 done before, 1 cannot be run\n")
-    assert f"{torn.relative_to(tmp_path)}: line 2: torn, " in ended.errors
+    assert f"{torn.relative_to(tmp_path)}: line 2: is incomplete: " in ended.errors

@@ -1,4 +1,4 @@
-"""Files that would run code if they were read carelessly; each loader refuses or ignores it."""
+"""Files that run code when read carelessly: every loader refuses or ignores that code."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from ril.run import training
 from ril.run.experiment import run
 from ril.run.record import Record
 
-# Of demonstrations and checkpoints the like is in tests/demonstrations and test_checkpoints.py.
+# tests/demonstrations and test_checkpoints.py have these tests for demonstrations and checkpoints.
 
 
 class Bomb:
-    """What makes a folder when it is unpickled."""
+    """Makes a folder when it is unpickled."""
 
     def __init__(self, makes: Path) -> None:
         self.makes = makes
@@ -48,16 +48,16 @@ def exploded(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def tag(exploded: Path) -> str:
-    """YAML that makes a folder when it is not read safely."""
+    """YAML that makes a folder when an unsafe loader reads it."""
     return f'!!python/object/apply:os.mkdir ["{exploded}"]'
 
 
-def test_the_bomb_would_go_off(exploded: Path) -> None:
+def test_careless_unpickling_sets_the_bomb_off(exploded: Path) -> None:
     pickle.loads(pickle.dumps(Bomb(exploded)))
     assert exploded.exists()
 
 
-def test_the_tag_would_go_off(exploded: Path, tag: str) -> None:
+def test_careless_yaml_loading_sets_the_tag_off(exploded: Path, tag: str) -> None:
     yaml.unsafe_load(tag)
     assert exploded.exists()
 
@@ -75,7 +75,7 @@ def legacy(bomb: Bomb) -> bytes:
 
 
 @pytest.mark.parametrize("pickled", [zipped, legacy, pickle.dumps])
-def test_a_policy_that_would_run_code_is_refused(
+def test_a_policy_with_code_is_refused(
     tmp_path: Path, exploded: Path, pickled: Callable[[Bomb], bytes]
 ) -> None:
     path = tmp_path / "policy.pt"
@@ -85,7 +85,7 @@ def test_a_policy_that_would_run_code_is_refused(
     assert not exploded.exists()
 
 
-def test_rows_that_would_run_code_are_refused(tmp_path: Path, exploded: Path) -> None:
+def test_rows_with_code_are_refused(tmp_path: Path, exploded: Path) -> None:
     (tmp_path / "results.csv").write_bytes(pickle.dumps(Bomb(exploded)))
     rows, left_out = load_results([tmp_path])
     assert rows.empty
@@ -93,8 +93,8 @@ def test_rows_that_would_run_code_are_refused(tmp_path: Path, exploded: Path) ->
     assert not exploded.exists()
 
 
-class StopsAfterTwo(Silence):
-    """Interrupts a run in its third epoch."""
+class InterruptsInTheThird(Silence):
+    """A display that interrupts the run in its third epoch."""
 
     def advanced(self, progress: Progress, record: Record) -> None:
         if progress.epoch == 3:
@@ -108,25 +108,25 @@ def stopped(
     demonstration_files: dict[str, Path],
     monkeypatch: pytest.MonkeyPatch,
 ) -> tuple[Config, Path]:
-    """A run with demonstrations of its own that was stopped, and its folder."""
+    """Stop a run that has demonstrations of its own; returns its config and folder."""
     monkeypatch.setattr(training, "CHECKPOINT_SECONDS", 0.0)
     own = shutil.copy(demonstration_files["cartpole"], tmp_path / "own.npz")
     config = quick(f"demonstrations={own}")
     config.output_dir = str(tmp_path / "outputs")
     with pytest.raises(KeyboardInterrupt):
-        run(config, StopsAfterTwo())
+        run(config, InterruptsInTheThird())
     [checkpoint] = tmp_path.rglob("checkpoint.pt")
     return config, checkpoint.parent
 
 
 @pytest.mark.parametrize("hostile", ["pickle", "deep", "tag"])
-def test_provenance_that_would_run_code_is_refused(
+def test_provenance_with_code_is_refused(
     stopped: tuple[Config, Path], exploded: Path, tag: str, hostile: str
 ) -> None:
     config, folder = stopped
     contents = {
         "pickle": pickle.dumps(Bomb(exploded)),
-        "deep": b"[" * 1_000_000,  # as deep as makes Python give up
+        "deep": b"[" * 1_000_000,  # too deep for the parser
         "tag": tag.encode(),
     }
     (folder / "provenance.json").write_bytes(contents[hostile])
@@ -136,14 +136,14 @@ def test_provenance_that_would_run_code_is_refused(
 
 
 @pytest.mark.parametrize("hostile", ["tag", "deep"])
-def test_a_stopped_runs_configuration_that_would_run_code_does_not(
+def test_code_in_a_stopped_runs_configuration_does_not_run(
     stopped: tuple[Config, Path], exploded: Path, tag: str, hostile: str
 ) -> None:
     config, folder = stopped
     text = f"demonstrations: {tag}" if hostile == "tag" else "[" * 100_000
     (folder / "config.yaml").write_text(text)
     assert config.demonstrations is not None
-    # The run would be the stopped one but for these, so it is asked which file that had.
+    # Only the demonstrations differ, so ril reads which file the stopped run used.
     with np.load(config.demonstrations) as archive:
         arrays = dict(archive)
     np.savez(config.demonstrations, **arrays | {"actions": 1 - arrays["actions"]})
@@ -151,39 +151,39 @@ def test_a_stopped_runs_configuration_that_would_run_code_does_not(
     assert not exploded.exists()
 
 
-def test_who_is_said_to_hold_a_folder_is_shown_as_text(tmp_path: Path) -> None:
+def test_the_holders_name_is_shown_without_control_characters(tmp_path: Path) -> None:
     class NotNowError(Exception):
-        """Ends the waiting."""
+        """Ends the wait."""
 
     def wait(holder: str) -> None:
         raise NotNowError(holder)
 
     with claimed(tmp_path):
-        (tmp_path / ".lock").write_text("\x1b[2J\x1b]0;title\x07 [bold]me\n")
+        (tmp_path / ".holder").write_text("\x1b[2J\x1b]0;title\x07 [bold]me\n")
         with pytest.raises(NotNowError) as said, claimed(tmp_path, wait=wait):
             pass
     assert str(said.value) == "[2J]0;title [bold]me"
 
 
-def test_a_target_in_a_setting_is_a_value_like_any_other(exploded: Path) -> None:
+def test_a_target_in_a_setting_is_not_instantiated(exploded: Path) -> None:
     target = f"+env.kwargs={{_target_:os.mkdir,path:{exploded}}}"
     assert composed(target).env.kwargs["_target_"] == "os.mkdir"
     assert not exploded.exists()
 
 
-#: What can run code that a file names or holds, by the function's last name.
+#: Functions that can run code from a file or code that a file names.
 RUNS_CODE = {
     *("eval", "exec", "compile", "__import__", "import_module", "system", "run", "call"),
     *("instantiate", "get_method", "get_class", "get_object", "resolve_name"),
     *("unsafe_load", "full_load", "Unpickler", "read_pickle"),
 }
-#: Where they stand for something else, or what they are given is not a file's.
+#: Uses that are something else, or whose input does not come from a file.
 ALLOWED = {
     ("methods/registry.py", "import_module"),  # names of its own table
-    ("provenance.py", "run"),  # git
-    ("provenance.py", "system"),  # platform.system
-    ("cli.py", "run"),  # a cell
-    ("loggers.py", "resolve_name"),  # a logger of the user's own, docs/logging.md
+    ("run/provenance.py", "run"),  # git
+    ("run/provenance.py", "system"),  # platform.system
+    ("cli/run.py", "run"),  # a cell
+    ("run/loggers.py", "resolve_name"),  # a logger of the user's own, docs/logging.md
     ("vectorized/compiling.py", "compile"),  # torch.compile
 }
 SOURCES = sorted(Path(ril.__file__).parent.rglob("*.py"))
@@ -196,7 +196,7 @@ def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.stem)
-def test_no_code_of_ours_runs_what_a_file_says(path: Path) -> None:
+def test_ril_calls_no_function_that_runs_code_from_a_file(path: Path) -> None:
     name = path.relative_to(SOURCES[0].parent).as_posix()
     for called, node in calls(path):
         last = called.rpartition(".")[2]

@@ -18,7 +18,6 @@ from helpers.runs import Silence
 
 from ril.demonstrations.files import load_demonstrations
 from ril.environments import Environment
-from ril.io import locks as locking
 from ril.io.errors import UserError
 from ril.io.locks import BusyError, claimed
 from ril.run.experiment import run
@@ -31,6 +30,18 @@ from ril.io.locks import claimed
 with claimed(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()
+"""
+
+# Each claim leaves the folder empty, so it is removed and made again.
+COUNT = """
+import sys
+from pathlib import Path
+from ril.io.locks import claimed
+folder, file = map(Path, sys.argv[1:])
+for _ in range(20):
+    with claimed(folder, wait=lambda _: None):
+        number = int(file.read_text())
+        file.write_text(str(number + 1))
 """
 
 
@@ -51,32 +62,27 @@ def holder(folder: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-def test_who_waits_for_a_folder_is_told_its_holder(
-    folder: Path, holder: subprocess.Popen[str]
-) -> None:
-    said = []
+def test_a_waiting_process_is_told_the_holder(folder: Path, holder: subprocess.Popen[str]) -> None:
+    holders = []
 
-    def wait(who: str) -> None:
-        said.append(who)
+    def wait(name: str) -> None:
+        holders.append(name)
         holder.kill()
 
     with claimed(folder, wait=wait) as claim:
         assert claim.exclusive
-    [who] = said
-    assert re.fullmatch(
-        rf"process {holder.pid} on {socket.gethostname()} since [-+:\d ]{{25}}", who
-    )
+    [name] = holders
+    since = r"[-+:\d ]{25}"
+    assert re.fullmatch(rf"process {holder.pid} on {socket.gethostname()} since {since}", name)
 
 
-def test_a_folder_is_free_once_its_holder_is_done(
-    folder: Path, holder: subprocess.Popen[str]
-) -> None:
+def test_a_folder_is_free_when_its_holder_ends(folder: Path, holder: subprocess.Popen[str]) -> None:
     holder.communicate("")
     with claimed(folder) as claim:
         assert claim.exclusive
 
 
-def test_a_folder_is_free_once_its_holder_is_killed(
+def test_a_folder_is_free_at_once_when_its_holder_is_killed(
     folder: Path, holder: subprocess.Popen[str]
 ) -> None:
     holder.send_signal(signal.SIGKILL)
@@ -85,7 +91,7 @@ def test_a_folder_is_free_once_its_holder_is_killed(
         assert claim.exclusive
 
 
-def test_one_who_finds_it_held_leaves_it_to_its_holder(folder: Path) -> None:
+def test_a_busy_folder_stays_its_holders(folder: Path) -> None:
     with claimed(folder) as claim:
         for _ in range(2):
             with pytest.raises(BusyError), claimed(folder):
@@ -93,68 +99,98 @@ def test_one_who_finds_it_held_leaves_it_to_its_holder(folder: Path) -> None:
         claim.check()
 
 
-def test_nothing_is_left_of_a_lock(folder: Path) -> None:
+def test_the_locks_files_are_removed(folder: Path) -> None:
     with claimed(folder):
         (folder / "results.csv").touch()
     assert [path.name for path in folder.iterdir()] == ["results.csv"]
 
 
-def test_a_folder_in_which_nothing_was_written_is_not_left(folder: Path) -> None:
+def test_an_empty_folder_is_removed(folder: Path) -> None:
     with claimed(folder):
         pass
     assert not folder.exists()
 
 
-def test_what_a_killed_process_had_half_written_is_removed(folder: Path) -> None:
+def test_temporary_files_of_a_killed_process_are_removed(folder: Path) -> None:
     folder.mkdir()
     (folder / ".checkpoint.pt.123.tmp").write_bytes(b"half")
     (folder / "checkpoint.pt").write_bytes(b"whole")
     with claimed(folder):
-        assert sorted(path.name for path in folder.iterdir()) == [".lock", "checkpoint.pt"]
+        names = sorted(path.name for path in folder.iterdir())
+        assert names == [".holder", ".lock", "checkpoint.pt"]
 
 
-def test_beside_others_a_folder_is_new(folder: Path) -> None:
+def test_new_folders_are_numbered(folder: Path) -> None:
     with ExitStack() as held:
-        claims = [held.enter_context(claimed(folder, beside=True)) for _ in range(3)]
+        claims = [held.enter_context(claimed(folder, new=True)) for _ in range(3)]
         assert [claim.folder.name for claim in claims] == ["cell", "cell-2", "cell-3"]
 
 
-@pytest.mark.parametrize("again", [False, True])
-def test_a_folder_that_vanished_is_noticed(folder: Path, again: bool) -> None:
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_folder_that_is_removed_or_replaced_is_noticed(folder: Path, replaced: bool) -> None:
     with claimed(folder) as claim:
+        copy = shutil.copytree(folder, folder.with_name("copy"))
         shutil.rmtree(folder)
-        if again:
-            folder.mkdir()
-            (folder / ".lock").touch()  # another's
-        with pytest.raises(UserError, match="was removed or replaced while the run went on"):
+        if replaced:
+            copy.rename(folder)
+        with pytest.raises(UserError, match="was removed or replaced during the run"):
             claim.check()
-    assert (folder / ".lock").exists() is again
+    assert [(folder / name).exists() for name in (".lock", ".holder")] == [replaced] * 2
 
 
-def test_a_lock_removed_while_it_was_waited_for_is_not_taken_for_one(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_folder_removed_while_a_process_waits_is_made_again(
+    folder: Path, holder: subprocess.Popen[str]
 ) -> None:
-    lock, calls = locking._lock, []
-
-    def removed_first(file: Any, wait: Any) -> bool:
-        calls.append(file)
-        if len(calls) == 1:
-            (folder / ".lock").unlink()  # as its holder does at the end
-        return lock(file, wait)
-
-    monkeypatch.setattr(locking, "_lock", removed_first)
-    with claimed(folder) as claim:
+    with claimed(folder, wait=lambda _: shutil.rmtree(folder)) as claim:
         claim.check()
-    assert len(calls) == 2
+        assert claim.exclusive
+        with pytest.raises(BusyError), claimed(folder):
+            pass
 
 
-def no_locks(*_: Any) -> None:
-    raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+@pytest.mark.parametrize("new", [False, True])
+def test_a_folder_below_a_file_is_refused(tmp_path: Path, new: bool) -> None:
+    (tmp_path / "file").touch()
+    said = rf"^output_dir: {tmp_path}/file/cell cannot be written \(Not a directory\)$"
+    with pytest.raises(UserError, match=said), claimed(tmp_path / "file" / "cell", new=new):
+        pass
 
 
-def test_where_there_are_no_locks_a_run_says_so_and_goes_on(
-    quick: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("below", ["", "method"])
+def test_a_folder_below_a_broken_link_is_refused(tmp_path: Path, below: str) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    with (
+        pytest.raises(UserError, match=r"^output_dir: .*/cell cannot be written"),
+        claimed(tmp_path / "link" / below / "cell"),
+    ):
+        pass
+
+
+def test_a_file_in_the_folders_place_is_refused(folder: Path) -> None:
+    folder.touch()
+    said = rf"^output_dir: {folder} cannot be written \(File exists\)$"
+    with pytest.raises(UserError, match=said), claimed(folder):
+        pass
+    assert folder.is_file()
+
+
+def test_processes_hold_a_folder_one_at_a_time(folder: Path, tmp_path: Path) -> None:
+    file = tmp_path / "number"
+    file.write_text("0")
+    command = [sys.executable, "-c", COUNT, str(folder), str(file)]
+    processes = [subprocess.Popen(command) for _ in range(4)]
+    assert [process.wait() for process in processes] == [0] * 4
+    assert file.read_text() == "80"
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS])
+def test_without_locks_a_run_warns_and_runs(
+    quick: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
+    def no_locks(*_: Any) -> None:
+        raise OSError(number, os.strerror(number))
+
     monkeypatch.setattr("fcntl.flock", no_locks)
     config, display = quick(), Notes()
     config.output_dir = str(tmp_path)
@@ -164,7 +200,7 @@ def test_where_there_are_no_locks_a_run_says_so_and_goes_on(
 
 
 class Notes(Silence):
-    """Remembers what was said."""
+    """Records the notes of a run."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -179,7 +215,7 @@ class Notes(Silence):
         self.skipped.append(skipped)
 
 
-def test_a_cell_that_is_being_run_is_waited_for(
+def test_a_run_waits_for_another_process_that_runs_its_cell(
     quick: Any, tmp_path: Path, cartpole: Environment, holder: subprocess.Popen[str]
 ) -> None:
     config, display = quick(), Notes()
@@ -196,7 +232,7 @@ def test_a_cell_that_is_being_run_is_waited_for(
     assert display.skipped == [False]
 
 
-def test_two_tables_that_share_a_cell_share_its_run(quick: Any, tmp_path: Path) -> None:
+def test_tables_that_share_a_cell_share_its_run(quick: Any, tmp_path: Path) -> None:
     skipped = []
     for table in (("ablation.k=1", "ablation.k=3"), ("ablation.k=3", "ablation.k=5")):
         for cell in table:

@@ -282,7 +282,7 @@ def test_an_output_folder_that_vanishes_ends_the_run_in_one_line(
     display = Script(2, lambda: shutil.rmtree(output))
     said = refusal(cell(), display)
     assert said.startswith(f"{output}/cartpole/ril/")
-    assert "was removed or replaced while the run went on" in said
+    assert "was removed or replaced during the run" in said
     assert display.epochs == [1, 2]
     assert not output.exists()
     assert left_by(run(cell(), Silence())) == expected
@@ -293,7 +293,7 @@ def test_an_output_folder_that_vanishes_while_scoring_ends_the_run_in_one_line(
 ) -> None:
     output = tmp_path / "outputs"
     said = refusal(cell(), Script(0, lambda: shutil.rmtree(output)))
-    assert "was removed or replaced while the run went on" in said
+    assert "was removed or replaced during the run" in said
     assert not output.exists()
 
 

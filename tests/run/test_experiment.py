@@ -379,7 +379,7 @@ class SignalWhileScoring(Silence):
 def test_a_signal_while_scoring_stops_at_once_and_training_is_kept(
     quick_run: QuickRun, tmp_path: Path
 ) -> None:
-    with pytest.raises(KeyboardInterrupt, match="stopped at once; go on with "):
+    with pytest.raises(KeyboardInterrupt, match="stopped immediately; go on with "):
         quick_run(*LONGER, folder=tmp_path, display=SignalWhileScoring())
     epochs = Epochs()
     assert same(quick_run(*LONGER, folder=tmp_path, display=epochs), quick_run(*LONGER))
@@ -542,7 +542,7 @@ class SignalAtStart(Silence):
 def test_a_signal_ends_a_reference_at_once(compose: Any, tmp_path: Path) -> None:
     config = compose("method=random", "seeds=1")
     config.output_dir = str(tmp_path)
-    with pytest.raises(KeyboardInterrupt, match="stopped at once; go on with "):
+    with pytest.raises(KeyboardInterrupt, match="stopped immediately; go on with "):
         run(config, SignalAtStart())
     assert not list(tmp_path.rglob("results.csv"))
 
