@@ -71,7 +71,7 @@ class ConsoleDisplay:
             self._panel.update("waiting for the first epoch …")
 
     def advanced(self, progress: base.Progress, record: Record) -> None:
-        """Show what the last epoch brought, and the time left."""
+        """Show the results of the last epoch, and the time left."""
         assert self._config is not None
         now, total = time.monotonic(), self._epochs
         steps = int(progress.env_samples.sum())

@@ -55,7 +55,7 @@ class SweepProgress:
     def _outlook(self, launcher: DictConfig) -> str:
         """Say how long the sweep will take, by the times of earlier runs."""
         if np.isnan(self._seconds).all():
-            return "time unknown until the first is finished"
+            return "time unknown until the first cell is finished"
         seconds = float(np.nansum(self._seconds))
         unknown = int(np.isnan(self._seconds).sum())
         more = f", plus {count(unknown, 'cell')} of unknown time" if unknown else ""

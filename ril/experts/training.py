@@ -20,7 +20,7 @@ from omegaconf import MISSING
 from ril.config.schema import EnvironmentConfig
 from ril.environments import Environment, Floats
 from ril.experts.collection import Episode, play
-from ril.io.errors import UserError
+from ril.io.errors import UserError, one_line
 
 EVALUATION_EPISODES = 100  # as AER's (§4)
 OnStep = Callable[[int, float | None], None]  # steps so far, and the mean return if just evaluated
@@ -80,7 +80,8 @@ def train(
     try:
         model = kind("MlpPolicy", vec_env, seed=config.seed, device=config.device, **settings)
     except (TypeError, ValueError, AssertionError) as error:
-        raise UserError(f"{config.algorithm}: {kind.__name__} refuses a value: {error}") from None
+        refusal = f"{kind.__name__} refuses a value: {one_line(error)}"
+        raise UserError(f"{config.algorithm}: {refusal}") from None
 
     def policy(observations: Floats) -> NDArray[np.integer]:
         if isinstance(vec_env, VecNormalize):

@@ -118,9 +118,7 @@ def test_the_return_of_one_episode_may_be_a_scalar(
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_other_arrays_are_ignored(
-    tmp_path: Path, mountaincar: Environment, layout: str
-) -> None:
+def test_other_arrays_are_ignored(tmp_path: Path, mountaincar: Environment, layout: str) -> None:
     objects = np.array([{"any": "thing"}])
     path = written(tmp_path / "more.npz", LAYOUTS[layout], infos=objects)
     assert_are_the_two(load_demonstrations(path, mountaincar))

@@ -44,7 +44,9 @@ def test_first_of_all_is_all(demonstrations: Demonstrations) -> None:
 
 
 @pytest.mark.parametrize("trajectories", [-1, 0, 3])
-def test_first_refuses_a_number_out_of_range(demonstrations: Demonstrations, trajectories: int) -> None:
+def test_first_refuses_a_number_out_of_range(
+    demonstrations: Demonstrations, trajectories: int
+) -> None:
     with pytest.raises(UserError, match=rf"ablation\.trajectories={trajectories}: .* 1\.\.2"):
         demonstrations.first(trajectories)
 
