@@ -105,7 +105,7 @@ class ConsoleDisplay:
         self.stop()
         assert self._config is not None
         episodes = self._config.evaluation.episodes
-        self.noted(f"scoring the best and the last policies on {episodes} new episodes each")
+        self.noted(f"scoring the best and the last policies on {episodes} fresh episodes")
 
     def noted(self, line: str) -> None:
         """Write a line, above the panel if there is one."""
