@@ -1,4 +1,4 @@
-"""What an environment is here: its Gymnasium id, its goal, and the scale of its observations."""
+"""A Gymnasium environment with its goal and the scale of its observations."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Environment:
-    """One task, with all that the methods need to know of it.
+    """An environment, and what the methods need to know about it.
 
     Attributes:
-        config: what `conf/env/*.yaml` says.
-        observation_size: entries of one observation.
+        config: of `conf/env/*.yaml`.
+        observation_size: number of entries of one observation.
         action_count: |A|, the number of discrete actions.
-        low: (observation_size,) raw observation that is scaled to −1.
-        high: (observation_size,) raw observation that is scaled to 1.
+        low: (observation_size,) raw values that are scaled to −1.
+        high: (observation_size,) raw values that are scaled to 1.
         max_episode_steps: steps after which an episode is truncated.
     """
 
@@ -38,44 +38,54 @@ class Environment:
     max_episode_steps: int
 
     def make(self) -> gym.Env:
-        """One fresh copy of the environment, without the passive checker."""
+        """Make one copy of the environment, without Gymnasium's passive checker."""
         return gym.make(self.config.id, disable_env_checker=True, **self.config.kwargs)
 
     def scale(self, observations: NDArray[np.floating]) -> Floats:
-        """Raw observations (..., observation_size) to about [−1, 1] (docs/deviations.md, D5)."""
+        """Scale raw observations (..., observation_size) to about [−1, 1] (D5)."""
         center, half = self._center_and_half
         scaled: Floats = ((observations - center) / half).astype(np.float32, copy=False)
         return scaled
 
     @cached_property
     def _center_and_half(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """What is scaled to 0, and how far from it 1 lies; `scale` is called at every step."""
+        """Return the values scaled to 0, and their distance from those scaled to 1."""
+        # Cached, since `scale` is called at every step.
         return (self.high + self.low) / 2, (self.high - self.low) / 2
 
 
 def load_environment(config: EnvironmentConfig) -> Environment:
-    """Look the environment up and check that RIL can act in it.
+    """Find an environment and check that ril supports it.
+
+    Args:
+        config: of `conf/env/*.yaml`.
 
     Raises:
-        UserError: the id is unknown, the spaces are not a box of floats and discrete
-            actions, or a bound of the observations is neither finite nor given.
+        UserError: Gymnasium cannot make the environment, its spaces are not a one-dimensional Box
+            and a Discrete that starts at 0, it has no step limit, or a bound of its observations
+            is infinite and none is given.
     """
     try:
-        with warnings.catch_warnings():  # which Gymnasium adds to its errors
+        with warnings.catch_warnings():  # Gymnasium repeats its errors as warnings
             warnings.simplefilter("ignore")
             probe = gym.make(config.id, disable_env_checker=True, **config.kwargs)
-    except Exception as error:  # an environment may raise what it likes
-        said = one_line(error) or type(error).__name__
-        raise UserError(f"env.id={config.id}: {said}") from None
+    except Exception as error:  # an environment's constructor may raise any type
+        message = one_line(error) or type(error).__name__
+        raise UserError(f"env.id={config.id}: {message}") from None
     observations, actions = probe.observation_space, probe.action_space
     spec = probe.spec
     probe.close()
     if not isinstance(observations, gym.spaces.Box) or len(observations.shape) != 1:
-        raise UserError(f"env.id={config.id}: observations are {observations}, need a 1-d Box")
+        raise UserError(
+            f"env.id={config.id}: observations are {observations}, must be a one-dimensional Box"
+        )
     if not isinstance(actions, gym.spaces.Discrete) or actions.start != 0:
-        raise UserError(f"env.id={config.id}: actions are {actions}, need Discrete(n)")
+        raise UserError(f"env.id={config.id}: actions are {actions}, must be Discrete(n)")
     if spec is None or spec.max_episode_steps is None:
-        raise UserError(f"env.id={config.id}: has no max_episode_steps, so it may never end")
+        raise UserError(
+            f"env.id={config.id}: has no max_episode_steps, so its episodes may never end; "
+            "give +env.kwargs.max_episode_steps=N"
+        )
 
     size = observations.shape[0]
     bounds = []
@@ -90,13 +100,13 @@ def load_environment(config: EnvironmentConfig) -> Environment:
             raise UserError(f"env.{name}: has {bound.size} entries, {config.id} needs {size}")
         if not np.isfinite(bound).all():
             raise UserError(
-                f"env.{name}: {config.id} is unbounded; give {size} finite numbers, "
-                "or env.scale_observations=false"
+                f"env.{name}: the observations of {config.id} are unbounded; give {size} finite "
+                "numbers, or env.scale_observations=false"
             )
         bounds.append(bound)
     low, high = bounds
     if (low >= high).any():
-        raise UserError("env.observation_low: must lie below env.observation_high everywhere")
+        raise UserError("env.observation_low: every entry must be below that of observation_high")
     return Environment(config, size, int(actions.n), low, high, spec.max_episode_steps)
 
 
@@ -107,9 +117,16 @@ def reaches_goal(
     final_rewards: NDArray[np.floating],
     terminated: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
-    """Which episodes reach the environment's goal (§3.2), element by element.
+    """Return which episodes reach the environment's goal (§3.2).
 
-    An episode does when it meets every condition that `goal` sets.
+    Args:
+        goal: conditions, all of which an episode must meet.
+        returns: (...) undiscounted returns of episodes.
+        final_rewards: (...) rewards of their last steps.
+        terminated: (...) whether the environment ended them, not the step limit.
+
+    Returns:
+        (...) whether each episode meets every condition that is set.
     """
     reached = np.ones(np.shape(returns), dtype=bool)
     if goal.minimum_return is not None:

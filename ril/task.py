@@ -1,4 +1,4 @@
-"""What every method learns from."""
+"""A task: the environment, expert and seeds that a method is trained with."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class Task:
     """An environment, an expert in it, and the seeds to train.
 
     Attributes:
-        environment: the task itself.
-        expert: the expert's transitions T^e; with actions only for methods that need them.
-        seeds: the S seeds that are trained together.
-        ablation: eq. 2's k and n.
-        device: where tensors live.
-        compile: whether long trainings are compiled: True, False, or "auto" where it pays.
-        processes: over which seeds may be spread that do not train as one batch.
+        environment: to train in.
+        expert: the expert's transitions T^e; with actions only for methods that see them.
+        seeds: the S seeds, trained together.
+        ablation: k and n of eq. 2.
+        device: of all tensors.
+        compile: whether updates are compiled: True, False, or "auto" for long trainings only.
+        processes: number of processes for methods whose seeds do not train as one batch.
     """
 
     environment: Environment

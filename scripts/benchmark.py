@@ -1,11 +1,11 @@
-"""How fast ril is: every comparison side by side, in turns; writes docs/performance.md's tables.
+"""Measure ril's speed beside other libraries, and write the tables of docs/performance.md.
 
-    python scripts/benchmark.py            # a quarter of an hour on a quiet machine
-    python scripts/benchmark.py --quick    # two minutes, of everything but the projection
+    python scripts/benchmark.py            # a quarter of an hour on an idle machine
+    python scripts/benchmark.py --quick    # two minutes; everything except the projection
 
-All of it is single-threaded and timed by processor time; figures are medians over rounds in which
-the sides take turns. A seed-step is an environment step of one seed: ten seeds trained together
-take ten at once, Stable-Baselines3 takes one.
+All measurements are single-threaded and in processor time. Figures are medians over rounds in which
+the alternatives take turns. A seed-step is an environment step of one seed: ten seeds trained
+together make ten at a time, Stable-Baselines3 makes one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _MEASURED = re.compile(r"(<!-- measured -->\n).*(<!-- end of measured -->)", re.
 
 
 def machine() -> str:
-    """What it was measured on."""
+    """Describe the processor and the versions."""
     cpuinfo = Path("/proc/cpuinfo")
     found = re.search(r"model name\s*: (.*)", cpuinfo.read_text()) if cpuinfo.exists() else None
     name = found[1] if found else platform.processor() or platform.machine()
@@ -37,12 +37,12 @@ def machine() -> str:
 
 
 def main() -> None:
-    """Measure, show, and write what docs/performance.md has between its two marks."""
+    """Measure, print, and write the tables between the two markers of docs/performance.md."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="fewer rounds, no projection")
-    parser.add_argument("--rounds", type=int, help="of which medians are taken; 3, quick 1")
-    parser.add_argument("--sbx", type=Path, help="a Python that has sbx-rl installed")
-    parser.add_argument("--output", type=Path, default=PAGE, help="the page that is written to")
+    parser.add_argument("--rounds", type=int, help="of measurements (default: 3; 1 with --quick)")
+    parser.add_argument("--sbx", type=Path, metavar="PYTHON", help="interpreter that has sbx-rl")
+    parser.add_argument("--output", type=Path, default=PAGE, help="page to write to")
     arguments = parser.parse_args()
     quick, rounds = arguments.quick, arguments.rounds or (1 if arguments.quick else 3)
     torch.set_num_threads(1)
@@ -56,7 +56,7 @@ def main() -> None:
 
     of_updates, ratio = updates(max(rounds, 3))
     show("An update", of_updates, f"Ten compiled against one module each: {ratio:.1f}× (aim: 20×).")
-    of_dqn, _ = dqn(rounds, 1000 if quick else 3000, 2 if quick else len(SETTINGS), arguments.sbx)
+    of_dqn = dqn(rounds, 1000 if quick else 3000, 2 if quick else len(SETTINGS), arguments.sbx)
     show("Whole loops", of_dqn, "Aims, compiled: 20× at an update per step, 12× at one per four.")
     of_ril, together = ril_together(rounds, 3 if quick else 10)
     show("Seeds together", of_ril, f"{together:.1f}× (aim: 6×).")
@@ -69,18 +69,18 @@ def main() -> None:
         show(
             "The whole paper",
             of_paper,
-            f"All cells of Tables 2 to 9 with ten seeds: {hours:.0f} hours of one core. Paces are "
-            "those of a run's beginning; later, episodes of CartPole and LunarLander are longer.",
+            f"All cells of Tables 2 to 9 with ten seeds: {hours:.0f} hours of one core, projected "
+            "from the first epochs. Later episodes of CartPole and LunarLander are longer.",
         )
-    told = f"{machine()}; {(time.monotonic() - started) / 60:.0f} minutes.\n\n"
+    conditions = f"{machine()}; {(time.monotonic() - started) / 60:.0f} minutes.\n\n"
     page = arguments.output
     text = page.read_text(encoding="utf-8") if page.exists() else ""
     if not _MEASURED.search(text):
         text += "<!-- measured -->\n<!-- end of measured -->\n"
-    measured = told + "".join(parts)
-    text = _MEASURED.sub(lambda marks: f"{marks[1]}{measured}{marks[2]}", text)
+    measured = conditions + "".join(parts)
+    text = _MEASURED.sub(lambda match: f"{match[1]}{measured}{match[2]}", text)
     page.write_text(text, encoding="utf-8")
-    console.print(f"{told.strip()} Written to {page}")
+    console.print(f"{conditions.strip()} Written to {page}")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Does `method=dqn` learn as Stable-Baselines3's DQN does? Both, with the same values of every key.
+"""Compare `method=dqn` with Stable-Baselines3's DQN, with the same value of every key.
 
     python scripts/check_dqn.py run env=cartpole method.total_timesteps=50_000
     python scripts/check_dqn.py run env=mountaincar method.total_timesteps=120_000
     python scripts/check_dqn.py show
 
-`run` trains ten seeds of each side and writes their greedy returns after each third of the budget
-to docs/checks/dqn_<env>.csv, a row as soon as a seed of Stable-Baselines3 is done; the same
-command again goes on with the others. `show` prints the comparison that docs/dqn.md has.
+`run` trains ten seeds of each, and writes their greedy returns after each third of the budget to
+docs/checks/dqn_<env>.csv, a row as soon as a seed is finished. The same command resumes with the
+seeds that have no row. `show` prints the comparison in docs/checks/README.md.
 """
 
 from __future__ import annotations
@@ -26,53 +26,50 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from ril.config.schema import Config
-from ril.demonstrations.trajectories import StateTransitions
 from ril.environments import Environment, load_environment
-from ril.methods.dqn import DQN, DQNConfig
+from ril.methods.dqn import DQNConfig
+from ril.run.prepare import prepare
 from ril.vectorized.evaluation import Evaluation
-from ril.task import Task
 
 CHECKS = Path(__file__).resolve().parents[1] / "docs" / "checks"
 SEEDS = tuple(range(100, 110))
-PARTS = 3  # of the budget, after each of which policies are scored
+PARTS = 3  # of the budget; policies are scored after each
 EPISODES, COPIES = 100, 20
 COLUMNS = ("learner", "seed", "total_timesteps", *(f"return_{part + 1}" for part in range(PARTS)))
 
 
-def by_ril(config: Config, environment: Environment) -> list[list[float]]:
-    """(S, PARTS) mean returns of all seeds, trained together."""
-    assert isinstance(config.method, DQNConfig)
-    expert = StateTransitions.none(environment)
-    task = Task(environment, expert, SEEDS, config.ablation, torch.device("cpu"))
-    method, evaluation = DQN(config.method, task), Evaluation(environment, SEEDS)
-    marks = [method.epochs * (part + 1) // PARTS for part in range(PARTS)]
+def by_ril(config: Config) -> list[list[float]]:
+    """Train all seeds with ril; return their (S, PARTS) mean returns."""
+    cell = prepare(config)
+    method, evaluation = cell.build_method(), Evaluation(cell.environment, config.seeds)
+    ends = [method.epochs * (part + 1) // PARTS for part in range(PARTS)]
     returns = [
         evaluation.returns(method.policy, EPISODES, f"check {progress.epoch}").mean(axis=1)
         for progress in method.train()
-        if progress.epoch in marks
+        if progress.epoch in ends
     ]
     return np.stack(returns, axis=1).tolist()
 
 
 class Scores(BaseCallback):
-    """Scores the policy of Stable-Baselines3 after each part of its budget."""
+    """Score the policy of Stable-Baselines3 after each part of its budget."""
 
     def __init__(self, environment: Environment, total: int, seed: int) -> None:
         super().__init__()
-        self.marks = [total * (part + 1) // PARTS for part in range(PARTS)]
+        self.ends = [total * (part + 1) // PARTS for part in range(PARTS)]
         self.returns: list[float] = []
         self.copies = make_vec_env(lambda: make_scaled(environment), COPIES, seed=1000 * seed)
 
     def _on_step(self) -> bool:
-        if self.num_timesteps in self.marks:
+        if self.num_timesteps in self.ends:
             mean, _ = evaluate_policy(self.model, self.copies, EPISODES, deterministic=True)
             self.returns.append(float(mean))
         return True
 
 
 def run(overrides: list[str]) -> None:
-    """Train what has no row yet."""
-    config = composed("method=dqn", *overrides)
+    """Train every seed that has no row yet."""
+    config = composed("method=dqn", f"seeds={list(SEEDS)}", "compile=false", *overrides)
     assert isinstance(config.method, DQNConfig)
     environment, total = load_environment(config.env), config.method.total_timesteps
     path = CHECKS / f"dqn_{config.env.name}.csv"
@@ -91,7 +88,7 @@ def run(overrides: list[str]) -> None:
 
         if not {("ril", seed, total) for seed in SEEDS} <= done:
             started = time.perf_counter()
-            for seed, returns in zip(SEEDS, by_ril(config, environment), strict=True):
+            for seed, returns in zip(SEEDS, by_ril(config), strict=True):
                 write("ril", seed, returns)
             print(f"ril: {time.perf_counter() - started:.0f} s for {len(SEEDS)} seeds", flush=True)
         for seed in SEEDS:
@@ -105,12 +102,12 @@ def run(overrides: list[str]) -> None:
 
 
 def show() -> None:
-    """Print means and spreads over seeds, and how likely such a difference is by chance."""
+    """Print means and standard deviations over seeds, and p of a permutation test."""
     for path in sorted(CHECKS.glob("dqn_*.csv")):
         rows = pd.read_csv(path)
         total = int(rows["total_timesteps"].iloc[0])
-        marks = [f"{total * (part + 1) // PARTS:,} steps" for part in range(PARTS)]
-        print(f"\n| {path.stem.removeprefix('dqn_')} | " + " | ".join(marks) + " |")
+        heads = [f"{total * (part + 1) // PARTS:,} steps" for part in range(PARTS)]
+        print(f"\n| {path.stem.removeprefix('dqn_')} | " + " | ".join(heads) + " |")
         print("|---" * (PARTS + 1) + "|")
         ours, theirs = (rows.loc[rows["learner"] == name] for name in ("ril", "sb3"))
         columns = COLUMNS[3:]

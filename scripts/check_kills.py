@@ -1,12 +1,13 @@
-"""Is a run that is killed again and again the same, digit for digit, as one that is not?
+"""Check that a run that is killed repeatedly leaves bit-identical rows and curves.
 
     python scripts/check_kills.py                  # bc, iupe, ril and dqn, 20 kills each
     python scripts/check_kills.py gail --kills 5   # another method
 
-Each cell is run once to the end, and then by starts that are killed (SIGKILL) at moments drawn
-over the time that the first run took, until there were as many kills as asked; whenever a start
-ends before its moment, its rows are compared and the cell is begun anew. A table as in
-docs/resuming.md is printed at the end; exit status 1 if anything differed.
+Each cell runs once without interruption. Then it is started again and again, and each start is
+killed (SIGKILL) at a random moment within the time of the first run. When a start finishes before
+its moment, its rows and curve are compared with the first run's, and the cell starts from scratch.
+After the given number of kills the last start runs to its end. The script prints the table in
+docs/resuming.md; its exit status is 1 if anything differs.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ STAGES = ("starting", "before a checkpoint", "between checkpoints", "scoring and
 
 
 def start(method: str, folder: Path) -> subprocess.Popen[bytes]:
-    """One start of the cell; what it says is added to a log in its folder."""
+    """Start the cell; its output is appended to a log in the folder."""
     folder.mkdir(exist_ok=True)
     command = [RIL_RUN, f"method={method}", SEEDS, *CELLS[method], f"output_dir={folder}/outputs"]
     with (folder / "log").open("ab") as log:
@@ -50,7 +51,7 @@ def start(method: str, folder: Path) -> subprocess.Popen[bytes]:
 
 
 def stage(folder: Path) -> str:
-    """How far a killed start had come."""
+    """Return the stage in which a start was killed."""
     last = (folder / "log").read_text().rpartition("\nenv=")[2]
     if "scoring" in last:
         return "scoring and rows"
@@ -59,21 +60,21 @@ def stage(folder: Path) -> str:
     return "before a checkpoint" if list(folder.rglob("config.yaml")) else "starting"
 
 
-def left_by(folder: Path) -> tuple[str, str]:
-    """Rows but for their time, and the curve."""
+def results(folder: Path) -> tuple[str, str]:
+    """Return the rows without their times, and the curve."""
     [path] = folder.rglob("results.csv")
     rows = pd.read_csv(path, dtype=str).drop(columns="wall_seconds")
     return rows.to_csv(), path.with_name("curve.csv").read_text()
 
 
 def check(method: str, kills: int, work: Path) -> tuple[str, bool]:
-    """A line of the table, and whether everything was the same."""
+    """Check one method; return its line of the table, and whether all results were identical."""
     whole, killed = work / "whole", work / "killed"
     began = time.monotonic()
     if start(method, whole).wait():
         sys.exit((whole / "log").read_text())
     seconds = time.monotonic() - began
-    expected, moments = left_by(whole), random.Random(0)
+    expected, moments = results(whole), random.Random(0)
     stages: Counter[str] = Counter()
     same: list[bool] = []
     while True:
@@ -89,7 +90,7 @@ def check(method: str, kills: int, work: Path) -> tuple[str, bool]:
             continue
         if status:
             sys.exit((killed / "log").read_text())
-        same.append(left_by(killed) == expected)
+        same.append(results(killed) == expected)
         if last:
             break
         shutil.rmtree(killed)
@@ -100,21 +101,24 @@ def check(method: str, kills: int, work: Path) -> tuple[str, bool]:
 
 
 def main() -> None:
-    """Check the methods of the command line."""
+    """Check the methods on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("methods", nargs="*", help=f"of {', '.join(CELLS)}")
-    parser.add_argument("--kills", type=int, default=20)
-    given = parser.parse_args()
-    lines, good = [], []
-    for method in given.methods or ["bc", "iupe", "ril", "dqn"]:
+    parser.add_argument("methods", nargs="*", help=f"any of {', '.join(CELLS)}")
+    parser.add_argument("--kills", type=int, default=20, help="per method (default: 20)")
+    arguments = parser.parse_args()
+    methods = arguments.methods or ["bc", "iupe", "ril", "dqn"]
+    if unknown := [method for method in methods if method not in CELLS]:
+        parser.error(f"{unknown[0]}: must be one of {', '.join(CELLS)}")
+    lines, identical = [], []
+    for method in methods:
         with tempfile.TemporaryDirectory() as work:
-            line, same = check(method, given.kills, Path(work))
+            line, same = check(method, arguments.kills, Path(work))
         print(line, flush=True)
         lines.append(line)
-        good.append(same)
-    print(f"\n| | uninterrupted | {' | '.join(STAGES)} | same |\n" + "|---" * 7 + "|")
+        identical.append(same)
+    print(f"\n| | uninterrupted | {' | '.join(STAGES)} | bit-identical |\n" + "|---" * 7 + "|")
     print("\n".join(lines))
-    sys.exit(not all(good))
+    sys.exit(not all(identical))
 
 
 if __name__ == "__main__":

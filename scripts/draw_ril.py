@@ -1,12 +1,12 @@
-"""RIL's open choices all at once: random draws, on seeds that no report uses.
+"""Search RIL's open choices by random draws, on tuning seeds that no report uses.
 
-    python scripts/draw_ril.py run 0 20 mountaincar acrobot   # draws 0 to 19 that have no row yet
-    python scripts/draw_ril.py show                           # what each choice is worth
+    python scripts/draw_ril.py run 0 20 mountaincar acrobot   # draws 0 to 19 without a row
+    python scripts/draw_ril.py show                           # the effect of each choice
 
-A draw is a setting of what the paper leaves open and may matter, the same on every environment;
-not on LunarLander, where one takes a quarter of an hour. Seeds and trajectory are those of
-search_ril.py. Rows go to docs/search/draws.csv, one as soon as it is known; several processes may
-run at once.
+A draw sets every choice in SPACE, which the paper leaves open, to a random value. It is the same on
+every environment. LunarLander is left out: a draw would take a quarter of an hour. Seeds and
+trajectory are those of search_ril.py. Each row is added to docs/search/draws.csv as soon as it is
+known, so several processes may run at the same time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from search_ril import SEARCH, append, outcome, recorded
 
 DRAWS = SEARCH / "draws.csv"
 
-#: What a draw takes one of each of.
+#: Values of each choice; a draw has one of each.
 SPACE: dict[str, tuple[Any, ...]] = {
     "method.q_learning.updates": (20, 50, 200),
     "method.q_learning.batch_size": (32, 128),
@@ -31,14 +31,14 @@ SPACE: dict[str, tuple[Any, ...]] = {
     "method.inverse_dynamics.updates": (100, 300),
     "method.exploration.kind": ("softmax", "uniform"),
 }
-#: What else was so when the first draws were made.
-AS_FIRST_DRAWN = ("evaluation.every=1", "method.inverse_dynamics.standardise=true")
-BLOCK = 6  # a multiple of how many values each has
+#: Defaults at the time of the first draws, so that later ones can be compared with them.
+FIXED = ("evaluation.every=1", "method.inverse_dynamics.standardise=true")
+BLOCK = 6  # draws; a multiple of each choice's number of values
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar")
 
 
 def drawn(draw: int) -> dict[str, Any]:
-    """The settings of a draw; each six in a row have each value of a key equally often."""
+    """Return the settings of a draw; a block of draws has each value of a key equally often."""
     block, place = divmod(draw, BLOCK)
     generator = np.random.default_rng(block)
     return {
@@ -48,17 +48,17 @@ def drawn(draw: int) -> dict[str, Any]:
 
 
 def run(draw: int, env: str) -> None:
-    """Run a draw, unless it has a row."""
+    """Run a draw on an environment, unless it has a row."""
     if recorded(DRAWS, {"draw": draw, "env": env}):
         return
     settings = drawn(draw)
     overrides = [f"{key}={value}" for key, value in settings.items()]
-    measured = outcome(env, "method=ril", *AS_FIRST_DRAWN, *overrides)
+    measured = outcome(env, "method=ril", *FIXED, *overrides)
     append(DRAWS, {"draw": draw, "env": env} | settings | measured)
 
 
 def show() -> None:
-    """Print the mean P of the draws with each choice ± its standard error, and the best draws."""
+    """Print the mean performance ± standard error by value of each choice, and the best draws."""
     rows = pd.read_csv(DRAWS)
     print(f"| | {' | '.join(ENVIRONMENTS)} |\n|---|{'---|' * len(ENVIRONMENTS)}")
     for key, values in SPACE.items():

@@ -1,9 +1,9 @@
-"""GAIL on CartPole by the `imitation` package, to check the results of `method=gail` against.
+"""Train GAIL on CartPole with the `imitation` package, to check `method=gail` against it.
 
-Same networks, optimisers, batches, scale and demonstrations as ril's; the algorithm's loop is
-imitation's own. It is not part of ril and needs an environment of its own, because imitation
-asks for older libraries than ril has; nothing it would pull in besides tqdm is used here, and
-tensorboard, which it imports without need, is replaced by an empty module:
+Networks, optimizers, batches, scale and demonstrations are ril's; the algorithm is imitation's. The
+script needs a virtual environment of its own, since imitation requires older libraries than ril.
+Of its dependencies only tqdm is needed here. An empty module replaces tensorboard, which imitation
+imports although nothing here uses it.
 
     python3 -m venv .venv-imitation
     .venv-imitation/bin/pip install --constraint constraints.txt torch
@@ -12,7 +12,7 @@ tensorboard, which it imports without need, is replaced by an empty module:
 
     .venv-imitation/bin/python scripts/gail_by_imitation.py --trajectories 1 --output one.csv
 
-A row is written as soon as its seed is done; the same command again goes on with the others.
+A row is written as soon as its seed is finished. The same command resumes with the other seeds.
 """
 
 from __future__ import annotations
@@ -25,48 +25,38 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
 
-from ril.config.schema import EnvironmentConfig
-
 sys.modules["torch.utils.tensorboard"] = ModuleType("torch.utils.tensorboard")
 
-import gymnasium as gym  # noqa: E402
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from imitation.algorithms.adversarial.gail import GAIL  # noqa: E402
 from imitation.data.types import Trajectory  # noqa: E402
 from imitation.rewards.reward_nets import BasicRewardNet  # noqa: E402
 from imitation.util import logger  # noqa: E402
-from omegaconf import OmegaConf  # noqa: E402
+from matched_dqn import composed, make_scaled  # noqa: E402
 from stable_baselines3 import PPO  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 
+from ril.demonstrations.files import shipped_path  # noqa: E402
 from ril.environments import Environment, load_environment  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[1]
 COPIES, STEPS = 8, 128  # one rollout is 8 environments × 128 steps
 ROLLOUT = COPIES * STEPS
-QUARTERS = (25, 50, 75, 100)  # of the budget, in per cent; when policies are scored
+QUARTERS = (25, 50, 75, 100)  # of the budget, in percent; policies are scored after each
 EVALUATION_EPISODES, EVALUATION_COPIES = 100, 20
 COLUMNS = (
     "seed",
     "trajectories",
     "total_timesteps",
     *(f"return_{percent}" for percent in QUARTERS),
-    "seconds",  # of training; the evaluations are not counted
+    "seconds",  # of training, without evaluations
 )
 
 
-def load_cartpole() -> Environment:
-    """CartPole-v1 with the bounds that `conf/env/cartpole.yaml` scales by."""
-    schema = OmegaConf.structured(EnvironmentConfig)
-    values = OmegaConf.load(ROOT / "conf" / "env" / "cartpole.yaml")
-    return load_environment(OmegaConf.to_object(OmegaConf.merge(schema, values)))
-
-
 def load_trajectories(environment: Environment, count: int) -> list[Trajectory]:
-    """The first trajectories of the expert, scaled; the step limit cut each of them."""
-    with np.load(ROOT / "ril" / "data" / "cartpole.npz") as file:
+    """Return the expert's first trajectories, scaled; the step limit truncated each of them."""
+    with np.load(shipped_path("cartpole")) as file:
         observations, actions, lengths = file["observations"], file["actions"], file["lengths"]
     ends = np.cumsum(lengths)[:-1]
     return [
@@ -79,23 +69,22 @@ def load_trajectories(environment: Environment, count: int) -> list[Trajectory]:
     ][:count]
 
 
-def make_scaled(environment: Environment) -> gym.Env:
-    """One environment whose observations are scaled."""
-    space = gym.spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
-    return gym.wrappers.TransformObservation(environment.make(), environment.scale, space)
-
-
 def train(
     environment: Environment, trajectories: list[Trajectory], total_timesteps: int, seed: int
 ) -> tuple[list[float], float]:
     """Train one seed.
 
-    The seed reaches imitation through the global generators of numpy and torch, which PPO sets:
-    imitation's GAIL draws its batches from those.
+    PPO also seeds the global generators of numpy and torch, from which imitation draws its batches.
+
+    Args:
+        environment: to train in.
+        trajectories: of the expert.
+        total_timesteps: budget, a multiple of four rollouts.
+        seed: of PPO, its networks and environments.
 
     Returns:
-        The mean return of greedy episodes after each quarter of the budget, and the seconds
-        of training.
+        The mean return of greedy episodes after each quarter of the budget, and the seconds of
+        training.
     """
     venv = make_vec_env(lambda: make_scaled(environment), COPIES, seed=seed)
     ppo = PPO(
@@ -129,7 +118,7 @@ def train(
         if (finished_round + 1) % every:
             return
         started = time.perf_counter()
-        evaluation.seed(1000 * seed)  # the same starts each time
+        evaluation.seed(1000 * seed)  # the same initial states in every evaluation
         mean, _ = evaluate_policy(ppo, evaluation, EVALUATION_EPISODES, deterministic=True)
         returns.append(float(mean))
         evaluating += time.perf_counter() - started
@@ -158,7 +147,7 @@ def train(
 def main() -> None:
     """Train every seed that has no row yet, one after another."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--trajectories", type=int, default=1, help="how many GAIL is shown")
+    parser.add_argument("--trajectories", type=int, default=1, help="of the expert, to train on")
     parser.add_argument("--total-timesteps", type=int, default=204_800, help="steps per seed")
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(100, 110)))
     parser.add_argument("--output", type=Path, required=True, help="CSV, a row per seed")
@@ -167,10 +156,10 @@ def main() -> None:
         parser.error(f"--total-timesteps: must be a multiple of {len(QUARTERS) * ROLLOUT}")
 
     torch.set_num_threads(1)
-    environment = load_cartpole()
+    environment = load_environment(composed("env=cartpole", "method=gail").env)
     trajectories = load_trajectories(environment, arguments.trajectories)
     if not 1 <= arguments.trajectories == len(trajectories):
-        parser.error(f"--trajectories: {arguments.trajectories} are not to be had")
+        parser.error(f"--trajectories={arguments.trajectories}: must be within 1..100")
 
     done = set()
     if arguments.output.exists():

@@ -1,4 +1,6 @@
-"""Steps per second of SBX's DQN, for `scripts/benchmark.py`, in an environment of its own.
+"""Measure the steps per second of SBX's DQN, for `scripts/benchmark.py`.
+
+SBX needs JAX, so it has a virtual environment of its own:
 
 python -m venv .venv-sbx && .venv-sbx/bin/pip install sbx-rl
 python scripts/benchmark.py --sbx .venv-sbx/bin/python
@@ -19,7 +21,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 
 class Clock(BaseCallback):
-    """Starts when the warm-up is over, in which JAX compiles."""
+    """Start the clock after the warm-up, in which JAX compiles."""
 
     started = 0.0
 
@@ -34,11 +36,11 @@ class Clock(BaseCallback):
 
 
 def main() -> None:
-    """Train by the settings on the command line and print the rate."""
-    asked = json.loads(sys.argv[1])
-    steps, warm_up = asked.pop("steps"), asked.pop("warm_up")
-    net_arch = asked.pop("net_arch")
-    model = DQN("MlpPolicy", asked.pop("env"), policy_kwargs={"net_arch": net_arch}, **asked)
+    """Train with the JSON settings of the command line and print the steps per second."""
+    settings = json.loads(sys.argv[1])
+    steps, warm_up = settings.pop("steps"), settings.pop("warm_up")
+    env, network = settings.pop("env"), {"net_arch": settings.pop("net_arch")}
+    model = DQN("MlpPolicy", env, policy_kwargs=network, **settings)
     clock = Clock(warm_up)
     model.learn(warm_up + steps, clock)
     print(steps / (time.process_time() - clock.started))

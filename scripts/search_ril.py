@@ -1,12 +1,12 @@
-"""Which of RIL's open choices matter? One changed at a time, or several; on tuning seeds.
+"""Search a method's open choices one at a time, or several, on tuning seeds.
 
-    python scripts/search_ril.py run ril mountaincar     # a row for each that has none yet
+    python scripts/search_ril.py run ril mountaincar     # every choice without a row
     python scripts/search_ril.py try ril cartpole evaluation.every=1 method.episodes=2
-    python scripts/search_ril.py show                    # the tables of docs/search/README.md
+    python scripts/search_ril.py show                    # tables as in docs/search/
 
-Every choice is run with seeds 100 to 104, from a trajectory of the expert other than the one that
-reported runs see. Rows go to docs/search/<method>.csv, one as soon as it is known; several
-processes may run at once, for different methods or environments.
+Every choice runs with seeds 100 to 104, and trains on another trajectory of the expert than
+reported runs. Each row is added to docs/search/<method>.csv as soon as it is known, so processes
+for different methods or environments may run at the same time.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from ril.run.experiment import run as run_cell
 SEARCH = Path(__file__).resolve().parents[1] / "docs" / "search"
 SEEDS = "[100,101,102,103,104]"
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar", "lunarlander")
-AS_IT_COMES = "as it comes"
+DEFAULT = "default"
 
-#: What is changed, one setting at a time, as overrides of `ril-run`; by method.
+#: Overrides of `ril-run` by method; each is a choice to try alone.
 CHOICES = {
     "ril": (
-        AS_IT_COMES,
+        DEFAULT,
         "method.episodes=3",
         "method.goal_sampler.pre_steps_per_action=1000",
         "method.inverse_dynamics.inputs=states method.inverse_dynamics.standardise=true",
@@ -64,7 +64,7 @@ CHOICES = {
         "fidelity=paper",
     ),
     "ril_consistent": (
-        AS_IT_COMES,
+        DEFAULT,
         "method.q_learning.imitation_weight=1",
         "method.q_learning.imitation_weight=0.05",
         "method.q_learning.temperature=0.03",
@@ -88,7 +88,7 @@ CHOICES = {
 
 
 def tuning_demonstrations(env: str, folder: Path) -> Path:
-    """The environment's trajectories but for the first, led by the one most like it."""
+    """Write an environment's trajectories without the first; the nearest in return leads them."""
     with np.load(shipped_path(env)) as arrays:
         lengths, terminated = arrays["lengths"], arrays["terminated"]
         states, ends = np.cumsum(lengths + 1)[:-1], np.cumsum(lengths)[:-1]
@@ -107,17 +107,17 @@ def tuning_demonstrations(env: str, folder: Path) -> Path:
 
 
 def run(method: str, env: str, changed: str) -> None:
-    """Run a method with some of its choices changed, unless that has a row."""
+    """Run a method with some choices changed, unless they have a row."""
     path = SEARCH / f"{method}.csv"
     path.parent.mkdir(exist_ok=True)
     setting = {"changed": changed, "env": env}
     if not recorded(path, setting):
-        overrides = () if changed == AS_IT_COMES else changed.split()
+        overrides = () if changed == DEFAULT else changed.split()
         append(path, setting | outcome(env, f"method={method}", *overrides))
 
 
 def outcome(env: str, *overrides: str) -> dict[str, Any]:
-    """Run a cell on tuning seeds and the tuning trajectory; means over seeds."""
+    """Run a cell on the tuning seeds and trajectory; return means over seeds by column."""
     display = ConsoleDisplay(Console(), live=False, alone=False)
     with tempfile.TemporaryDirectory() as folder:
         demonstrations = tuning_demonstrations(env, Path(folder))
@@ -140,12 +140,12 @@ def outcome(env: str, *overrides: str) -> dict[str, Any]:
 
 
 def recorded(path: Path, setting: dict[str, Any]) -> bool:
-    """Whether a file has a row of these values."""
+    """Return whether a file has a row with these values."""
     return path.exists() and setting in pd.read_csv(path)[list(setting)].to_dict("records")
 
 
 def append(path: Path, row: dict[str, Any]) -> None:
-    """Add a row, whole, whoever else adds one at the same time."""
+    """Add a row; the file is locked, since other processes may add theirs."""
     with path.open("a", newline="") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         writer = csv.DictWriter(file, row)
@@ -156,7 +156,7 @@ def append(path: Path, row: dict[str, Any]) -> None:
 
 
 def show() -> None:
-    """Print a table per method: what each change alone does to the returns of each environment."""
+    """Print a table per method: best (and last) returns by change and environment."""
     for name in ("ril_before", *CHOICES):
         path = SEARCH / f"{name}.csv"
         if not path.exists():
@@ -171,7 +171,7 @@ def show() -> None:
         print(f"\n### {name}\n")
         print(f"| changed | {' | '.join(table.columns)} |\n|---|{'---|' * len(table.columns)}")
         for changed, cells in table.fillna("–").iterrows():
-            named = changed if changed == AS_IT_COMES else f"`{changed}`"
+            named = changed if changed == DEFAULT else f"`{changed}`"
             print(f"| {named} | {' | '.join(cells)} |")
 
 
@@ -182,7 +182,7 @@ if __name__ == "__main__":
                 for changed in CHOICES[method]:
                     run(method, each, changed)
         case ["try", method, env, *overrides] if method in CHOICES and env in ENVIRONMENTS:
-            run(method, env, " ".join(sorted(overrides)) or AS_IT_COMES)
+            run(method, env, " ".join(sorted(overrides)) or DEFAULT)
         case ["show"]:
             show()
         case _:

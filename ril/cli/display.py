@@ -1,4 +1,4 @@
-"""What a person sees of a run: a live panel on a terminal, plain lines in a log file."""
+"""Show a run to a person: a live panel on a terminal, plain lines in a log file."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from ril.methods.registry import spec
 from ril.methods.spec import MethodSpec
 from ril.run.record import Record
 
-_LINE_SECONDS = 10.0  # between two lines of a log file
+_LINE_SECONDS = 10.0  # between two lines of a log file, at least
 
 
 class ConsoleDisplay:
-    """Shows one run on a console.
+    """Show one run on a console.
 
     Args:
-        console: where to write.
-        live: a panel that is redrawn, for terminals; otherwise a line every few seconds.
-        alone: a finished run has a table of its seeds; as one of a sweep's cells only a line.
+        console: to write to.
+        live: whether to redraw a panel, for terminals; otherwise write a line every few seconds.
+        alone: whether the run is not part of a sweep; a sweep's cell ends with one line only.
+        paper_number: rows of a run to the paper's number for their cell; None if it has none.
     """
 
     def __init__(
@@ -45,109 +46,102 @@ class ConsoleDisplay:
         self._paper_number = paper_number
         self._is_alone = alone
         self._is_live = live
-        self._live: Live | None = None
+        self._panel: Live | None = None
         self._bar = Progress(TextColumn("{task.description}"), BarColumn(None), expand=True)
         self._task = self._bar.add_task("")
         self._config: Config | None = None
         self._folder = Path()
         self._epochs = 0
         self._epochs_at_start: int | None = None
-        self._first_look = (0.0, 0)  # the time after the first epoch, and the samples by then
+        self._after_first_epoch = (0.0, 0)  # time, and environment steps of all seeds
         self._started = self._printed = 0.0
 
     def started(self, config: Config, folder: Path, epochs: int) -> None:
-        """Say what is run and for how long."""
+        """Say what is trained and for how long."""
         self._config, self._folder, self._epochs = config, folder, epochs
         self._started = self._printed = time.monotonic()
         cell = f"env={config.env.name} method={config.method.name}"
-        going_on = ", going on from its checkpoint" if (folder / "checkpoint.pt").exists() else ""
         seeds = count(len(config.seeds), "seed") + (" together" if len(config.seeds) > 1 else "")
-        self._console.print(
-            f"{cell}: {seeds}, {count(epochs, 'epoch') if epochs else 'nothing to learn'}"
-            f"{going_on}",
-            soft_wrap=True,
-        )
+        budget = count(epochs, "epoch") if epochs else "no training"
+        resumed = ", resumed from its checkpoint" if (folder / "checkpoint.pt").exists() else ""
+        self.noted(f"{cell}: {seeds}, {budget}{resumed}")
         if self._is_live:
-            self._live = Live(console=self._console, transient=True, refresh_per_second=4)
-            self._live.start()
-            self._live.update("before the first epoch …")
+            self._panel = Live(console=self._console, transient=True, refresh_per_second=4)
+            self._panel.start()
+            self._panel.update("waiting for the first epoch …")
 
     def advanced(self, progress: base.Progress, record: Record) -> None:
-        """Show where training stands."""
+        """Show the results of the last epoch, and the time left."""
         assert self._config is not None
+        now, total = time.monotonic(), self._epochs
+        steps = int(progress.env_samples.sum())
         if self._epochs_at_start is None:
             self._epochs_at_start = progress.epoch - 1
-            self._first_look = time.monotonic(), int(progress.env_samples.sum())
-        now, total = time.monotonic(), self._epochs
-        done = progress.epoch - self._epochs_at_start
-        left = (now - self._started) / done * (total - progress.epoch)
+            self._after_first_epoch = now, steps
         facts = _facts(spec(self._config.method.name), progress, record)
-        since, before = self._first_look
-        if now > since and (taken := int(progress.env_samples.sum()) - before):
-            facts["steps/s"] = f"{taken / (now - since):,.0f} (all seeds)"
-        facts["time left"] = duration(left)
-        if self._live is not None:
-            self._bar.update(
-                self._task,
-                completed=progress.epoch,
-                total=total,
-                description=f"epoch {progress.epoch} of {total}",
-            )
+        # The first epoch is left out of the rate, since updates may be compiled in it.
+        then, steps_before = self._after_first_epoch
+        if now > then and steps > steps_before:
+            facts["steps per second"] = f"{(steps - steps_before) / (now - then):,.0f} (all seeds)"
+        done = progress.epoch - self._epochs_at_start
+        facts["time left"] = duration((now - self._started) / done * (total - progress.epoch))
+        if self._panel is not None:
+            title = f"epoch {progress.epoch} of {total}"
+            self._bar.update(self._task, completed=progress.epoch, total=total, description=title)
             grid = Table.grid(padding=(0, 2))
             for name, value in facts.items():
                 grid.add_row(name, value)
-            self._live.update(Group(self._bar, grid))
-        elif (
-            now - self._printed >= _LINE_SECONDS
-            or progress.epoch == total
-            or progress.stopped.all()
-        ):
+            self._panel.update(Group(self._bar, grid))
+            return
+        is_last = progress.epoch == total or progress.stopped.all()
+        if is_last or now - self._printed >= _LINE_SECONDS:
             self._printed = now
-            text = "  ".join(f"{name} {value}" for name, value in facts.items())
-            cell = f"{self._config.env.name} {self._folder.name}"
-            self._console.print(f"{cell}  epoch {progress.epoch}/{total}  {text}", soft_wrap=True)
+            text = ", ".join(f"{name} {value}" for name, value in facts.items())
+            cell = f"{self._config.env.name} {self._config.method.name} {self._folder.name}"
+            self.noted(f"{cell}: epoch {progress.epoch} of {total}, {text}")
 
     def scoring(self) -> None:
-        """Say that training is over."""
+        """Say that training has ended and the policies are scored."""
         self.stop()
         assert self._config is not None
         episodes = self._config.evaluation.episodes
-        self._console.print(f"scoring the best and the last policies on {episodes} fresh episodes")
+        self.noted(f"scoring the best and the last policies on {episodes} fresh episodes")
 
     def noted(self, line: str) -> None:
-        """Say what happened, above the panel if there is one."""
+        """Write a line, above the panel if there is one."""
         self._console.print(line, soft_wrap=True, markup=False)
 
     def stop(self) -> None:
-        """Give the terminal back."""
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
+        """Remove the panel and release the terminal."""
+        if self._panel is not None:
+            self._panel.stop()
+            self._panel = None
 
     def finished(self, rows: Path, *, skipped: bool) -> None:
         """Show the rows, their mean beside the paper's number, and the folder."""
         frame, _ = load_results([rows.parent])
-        spread = f"{frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f}"
+        aer = f"AER {frame.aer.mean():.2f} ± {frame.aer.std(ddof=0):.2f}"
         performance = f"performance {frame.performance.mean():.3f}"
-        found = f"AER {spread} over {count(len(frame), 'seed')}, {performance}"
+        result = f"{aer} over {count(len(frame), 'seed')}, {performance}"
         paper = self._paper_number(frame)
+        reported = "" if paper is None else f"the paper reports {paper}"
         if not self._is_alone:
-            beside = "" if paper is None else f"; the paper says {paper}"
-            self._console.print(f"{rows.parent}: {found}{beside}", soft_wrap=True)
+            beside = f"; {reported}" if reported else ""
+            self.noted(f"{rows.parent}: {result}{beside}")
             return
-        self._console.print(_seeds(frame))
-        self._console.print(found)
-        if paper is not None:
-            self._console.print(f"the paper says {paper}", soft_wrap=True)
+        self._console.print(_seeds_table(frame))
+        self.noted(result)
+        if reported:
+            self.noted(reported)
         if skipped:
-            self._console.print("finished before, so not run again; resume=false runs it anew")
-        self._console.print(str(rows.parent), soft_wrap=True)
+            self.noted("already finished; resume=false runs it again in a new folder")
+        self.noted(str(rows.parent))
 
 
-def _seeds(frame: pd.DataFrame) -> Table:
-    """The rows of one run."""
+def _seeds_table(frame: pd.DataFrame) -> Table:
+    """Return a table of the rows of one run."""
     first = frame.iloc[0]
-    heads = ("seed", "AER", "± std", "last", "performance", "samples to best", "epochs")
+    heads = ("seed", "AER", "± std", "last policy", "performance", "samples to best", "epochs")
     table = Table(*heads, title=f"{first.env} {first.method} {first.run_id}")
     for column in table.columns:
         column.justify = "right"
@@ -165,13 +159,14 @@ def _seeds(frame: pd.DataFrame) -> Table:
 
 
 def _facts(method: MethodSpec, progress: base.Progress, record: Record) -> dict[str, str]:
-    """Names and values of what is shown after an epoch."""
+    """Return names and values of what is shown after an epoch; means are over seeds."""
     samples = progress.env_samples + progress.expert_samples
     facts = {}
     if record.curve:
         epoch = record.curve[-1].epoch
         latest = np.array([point.aer for point in record.curve if point.epoch == epoch])
-        facts["return"] = f"{mean_and_std(latest)} (best so far {record.best_aer.mean():.1f})"
+        best = record.best_aer.mean()
+        facts["evaluation return"] = f"{mean_and_std(latest)} (best so far {best:.1f})"
     facts["samples"] = f"{samples.mean():,.0f}"
     for shown in method.shown:
         values = progress.metrics.get(shown.metric)
@@ -183,17 +178,17 @@ def _facts(method: MethodSpec, progress: base.Progress, record: Record) -> dict[
 
 
 def mean_and_std(values: NDArray[np.float64]) -> str:
-    """A mean and its spread, in words."""
+    """Format a mean and a standard deviation."""
     return f"{values.mean():.1f} ± {values.std():.1f}"
 
 
-def count(number: int, what: str) -> str:
-    """So many of something, in words."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+def count(number: int, noun: str) -> str:
+    """Format a number of things, such as "1 seed" or "2 seeds"."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def duration(seconds: float) -> str:
-    """A time in its two largest units, in words."""
+    """Format a time in its two largest units, such as "3 min 05 s"."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes_left = divmod(minutes, 60)
     if hours:

@@ -21,7 +21,7 @@ from ril.io.errors import UserError
 
 @contextmanager
 def _progress(config: ExpertConfig, console: Console) -> Iterator[OnStep]:
-    """A bar on a terminal; a line per evaluation elsewhere, such as in a log file."""
+    """Show the training: a bar on a terminal, a line per evaluation in a log file."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -46,7 +46,7 @@ def _progress(config: ExpertConfig, console: Console) -> Iterator[OnStep]:
 
 
 def _run(composed: DictConfig) -> None:
-    """One expert."""
+    """Train one expert and print a summary of its trajectories."""
     try:
         for key in sorted(OmegaConf.missing_keys(composed)):
             raise UserError(f"{key}: must be given")
@@ -56,17 +56,17 @@ def _run(composed: DictConfig) -> None:
         with _progress(config, console) as on_step:
             record = make_expert(config, command, on_step)
     except MISTAKES as error:
-        refuse(error)  # here already: Hydra says a line of its own of what leaves a job
+        refuse(error)  # before Hydra adds a line of its own
     returns, first = record["returns"], record["first"]
     console.print(
-        f"{config.output}: {record['episodes']} episodes, return {returns['mean']:.2f} ± "
-        f"{returns['std']:.2f} after {record['steps_trained']:,} steps; the first has length "
-        f"{first['length']} and return {first['return']:.2f}",
+        f"{config.output}: {record['episodes']} episodes with return {returns['mean']:.2f} ± "
+        f"{returns['std']:.2f}, after {record['steps_trained']:,} training steps; the first has "
+        f"{first['length']} steps and return {first['return']:.2f}",
         soft_wrap=True,
     )
 
 
 def main() -> None:
-    """The console command; a mistake of the user's is one line on stderr and exit status 1."""
+    """Run the console command; a mistake of the user is one line on stderr and exit status 1."""
     ConfigStore.instance().store(name="expert_schema", node=ExpertConfig)
     run_command("expert", _run, stopped="ril-expert: stopped, nothing was written")

@@ -1,4 +1,4 @@
-"""Which cells a sweep consists of."""
+"""The cells of a sweep: expand its values, and plan which cells to run."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Cell:
     """A cell of a sweep.
 
     Attributes:
-        overrides: of its command line.
-        command: that runs it alone.
-        config: of its run; None if it cannot be run.
-        folder: of its first run.
-        mistake: why it cannot be run, or why it failed.
+        overrides: `key=value` on its command line.
+        command: the command that runs it alone.
+        config: of its run; None if the overrides were refused.
+        folder: of its run; with resume=false further runs are in `<folder>-2`, `<folder>-3`, ….
+        mistake: why the cell was refused or failed; None if neither.
         before: finished runs that do not count, since resume=false asks for one more.
     """
 
@@ -44,13 +44,13 @@ class Cell:
 
     @property
     def runs(self) -> list[Path]:
-        """The files of rows of all its runs; with resume=false they are in `<run_id>-2`, …."""
+        """Return the `results.csv` of each finished run of the cell."""
         parent, name = self.folder.parent, self.folder.name
         return [path for each in (name, f"{name}-*") for path in parent.glob(f"{each}/results.csv")]
 
     @property
     def is_done(self) -> bool:
-        """Whether it has rows that count."""
+        """Return whether a finished run counts for this sweep."""
         return self.config is not None and len(self.runs) > self.before
 
 
@@ -60,17 +60,20 @@ def expand(
     """Return the overrides of each cell of several sweeps.
 
     Args:
-        sweeps: values by key, separated by commas; None is one sweep without keys of its own.
-        arguments: the command line. Where it gives a key of a sweep, only the values that both
-            have remain, and a sweep with none is left out.
+        sweeps: comma-separated values by key, for each sweep; None is one sweep without keys.
+        arguments: the command line. If it gives a key of a sweep, only the values in both remain,
+            and a sweep with no value left is skipped.
         parser: Hydra's.
 
+    Returns:
+        `key=value` of every combination of values; the last key's values vary fastest.
+
     Raises:
-        UserError: no cell remains.
+        UserError: every sweep is skipped.
     """
     given = {each.get_key_element(): each for each in parser.parse_overrides(list(arguments))}
     jobs: list[list[str]] = []
-    left_out: list[str] = []
+    skipped: list[str] = []
     for sweep in sweeps or [{}]:
         own = parser.parse_overrides([f"{key}={values}" for key, values in sweep.items()])
         choices = {each.get_key_element(): list(_values(each)) for each in given.values()}
@@ -79,25 +82,24 @@ def expand(
             choices.pop(key, None)
             choices[key] = _narrowed(each, given.get(key))
             if not choices[key]:
-                left_out.append(str(each.input_line))
-        # `key=value` of every combination, the last key's values running fastest.
+                skipped.append(str(each.input_line))
         texts = [[f"{key}={value}" for value in values] for key, values in choices.items()]
         jobs += [list(job) for job in itertools.product(*texts)]
     if not jobs:
-        key = left_out[0].partition("=")[0]
-        raise UserError(f"{given[key].input_line}: the sweep has only {', '.join(left_out)}")
+        key = skipped[0].partition("=")[0]
+        raise UserError(f"{given[key].input_line}: the sweep has only {', '.join(skipped)}")
     return jobs
 
 
 def _narrowed(own: Override, given: Override | None) -> list[str]:
-    """The values of a sweep's key that the command line gives too, if it gives that key."""
+    """Return the values of a sweep's key that the command line allows; all if it lacks the key."""
     values = _values(own)
-    wanted = values if given is None else _values(given)
-    return [text for text, value in values.items() if value in wanted.values()]
+    allowed = values if given is None else _values(given)
+    return [text for text, value in values.items() if value in allowed.values()]
 
 
 def _values(override: Override) -> dict[str, object]:
-    """The values of an override, by how they are written."""
+    """Return the values of an override by their text."""
     if override.is_sweep_override():
         return dict(zip(override.sweep_string_iterator(), override.sweep_iterator(), strict=True))
     return {override.get_value_element_as_str(): override.value()}
@@ -106,15 +108,18 @@ def _values(override: Override) -> dict[str, object]:
 def plan(
     jobs: Sequence[list[str]], compose: Callable[[list[str]], DictConfig], config: DictConfig
 ) -> list[Cell]:
-    """Return the cells of a sweep, each once even if it is asked for several times.
+    """Return the cells of a sweep; overrides that give the same run are one cell.
 
     Args:
         jobs: overrides of each cell.
         compose: overrides to the configuration that Hydra composes.
-        config: the configuration of the sweep as a whole.
+        config: of the sweep as a whole.
+
+    Returns:
+        The cells, those that were refused included; their `mistake` says why.
 
     Raises:
-        UserError: none of them can be run.
+        UserError: all cells were refused.
     """
     cells: dict[object, Cell] = {}
     for overrides in jobs:
@@ -123,14 +128,14 @@ def plan(
             composed = compose(overrides)
             if composed.hydra.sweeper != config.hydra.sweeper:
                 groups = [each for each in overrides if each.startswith(SWEEP_GROUPS)]
-                raise UserError(f"{' '.join(groups)}: are two sweeps; give one at a time")
+                raise UserError(f"{' '.join(groups)}: several sweeps; give one at a time")
             with open_dict(composed):
                 del composed["hydra"]
             run = from_hydra(composed)
             expert = load_demonstrations(demonstrations_path(run), load_environment(run.env))
             cell = Cell(overrides, command, run, run_folder(run, expert.sha256))
             if run.resume:
-                has_rows(cell.folder, run)  # raises if the file of rows holds others
+                has_rows(cell.folder, run)  # raises if results.csv is damaged or of another run
             else:
                 cell.before = len(cell.runs)
             cells.setdefault(cell.folder, cell)

@@ -1,4 +1,4 @@
-"""What becomes of a sweep's cells, seen by the rows that they leave, whoever runs them."""
+"""Report a sweep's progress by the rows that its cells write, whichever launcher runs them."""
 
 from __future__ import annotations
 
@@ -22,43 +22,44 @@ from ril.io.signals import Stopped, stop_on_signals
 from ril.methods.registry import spec
 
 _WATCH_SECONDS = 1.0
-_NO_REASON = "left no rows, and its launcher did not say why; the same command goes on"
+_RESUME = "give the same command again to resume"
+_NO_REASON = f"wrote no rows, and the launcher gave no reason; {_RESUME}"
 
 
 class SweepProgress:
-    """Says how far a sweep is: at its start, whenever a cell ends, and at its end.
+    """Print a sweep's progress at its start, whenever cells finish, and at its end.
 
     Args:
         cells: of the sweep.
-        launcher: Hydra's, as it is configured.
-        output_dir: whose rows say how long such cells take.
+        launcher: configuration of Hydra's launcher.
+        output_dir: folder of earlier runs, whose times give the time left.
 
     Attributes:
-        pending: the cells that are to be run.
+        pending: the cells to run.
     """
 
     def __init__(self, cells: Sequence[Cell], launcher: DictConfig, output_dir: Path) -> None:
         self._cells = cells
         self.pending = [cell for cell in cells if cell.config is not None and not cell.is_done]
         refused = sum(cell.config is None for cell in cells)
-        before = len(cells) - len(self.pending) - refused
+        finished = len(cells) - len(self.pending) - refused
         self._started = time.monotonic()
         self._seconds = _expected_seconds(self.pending, output_dir)
-        said = [count(len(cells), "cell"), f"{before} done before"]
+        parts = [count(len(cells), "cell"), f"{finished} already finished"]
         if refused:
-            said.append(f"{refused} cannot be run")
+            parts.append(f"{refused} cannot be run")
         if self.pending:
-            said.append(f"{len(self.pending)} to run, {self._outlook(launcher)}")
-        print(f"sweep: {', '.join(said)}", flush=True)
+            parts.append(f"{len(self.pending)} to run, {self._outlook(launcher)}")
+        print(f"sweep: {', '.join(parts)}", flush=True)
 
     def _outlook(self, launcher: DictConfig) -> str:
-        """How long it will take, by what such cells took before."""
+        """Say how long the sweep will take, by the times of earlier runs."""
         if np.isnan(self._seconds).all():
-            return "for how long is unknown until the first is done"
+            return "time unknown until the first cell is finished"
         seconds = float(np.nansum(self._seconds))
         unknown = int(np.isnan(self._seconds).sum())
-        more = f", and {count(unknown, 'cell')} of which none was run yet" if unknown else ""
-        # Of other launchers, only the cluster knows how many cells run at a time.
+        more = f", plus {count(unknown, 'cell')} of unknown time" if unknown else ""
+        # Only joblib's configuration says how many cells run at a time.
         if "n_jobs" not in launcher:
             return f"about {duration(seconds)} of computing{more}"
         at_once = min(joblib.effective_n_jobs(launcher.n_jobs), len(self.pending))
@@ -66,56 +67,62 @@ class SweepProgress:
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Say so whenever a cell of the block ends.
+        """Print the progress whenever a cell finishes within the block.
 
         Raises:
-            SystemExit: the user stopped it.
+            SystemExit: the user stopped the sweep.
         """
         over = threading.Event()
         watcher = threading.Thread(target=self._watch, args=(over,), daemon=True)
         watcher.start()
         try:
             with stop_on_signals() as stop:
-                stop.immediate = True  # the cells keep checkpoints
+                stop.immediate = True  # the cells have checkpoints
                 yield
-        except (Stopped, SystemExit) as end:  # the latter of a cell that was stopped
-            said = f"ril-run: stopped with {self._done()}; the same command goes on"
-            print(said, file=sys.stderr, flush=True)
+        except (Stopped, SystemExit) as end:  # SystemExit if a cell in this process was stopped
+            message = f"ril-run: stopped with {self._finished()}; {_RESUME}"
+            print(message, file=sys.stderr, flush=True)
             sys.exit(end.exit_status if isinstance(end, Stopped) else end.code)
         finally:
             over.set()
             watcher.join()
 
     def _watch(self, over: threading.Event) -> None:
+        """Print the time left whenever more cells have finished, until `over` is set."""
         known = ~np.isnan(self._seconds)
-        usual = self._seconds[known].mean() if known.any() else 1.0
-        # Never 0, as the time of a cell that ended at once may be.
-        weights, before = np.maximum(np.where(known, self._seconds, usual), 0.01), 0
+        mean = self._seconds[known].mean() if known.any() else 1.0
+        # Above 0, since their sum is divided by; a recorded time may round to 0.
+        weights, before = np.maximum(np.where(known, self._seconds, mean), 0.01), 0
         while not over.wait(_WATCH_SECONDS):
             done = np.array([cell.is_done for cell in self.pending])
             if before < done.sum() < len(done):
                 before = int(done.sum())
                 elapsed = time.monotonic() - self._started
                 left = elapsed * weights[~done].sum() / weights[done].sum()
-                print(f"sweep: {self._done()}, about {duration(left)} left", flush=True)
+                print(f"sweep: {self._finished()}, about {duration(left)} left", flush=True)
 
-    def _done(self) -> str:
+    def _finished(self) -> str:
         done = sum(cell.is_done for cell in self._cells)
-        return f"{done} of {count(len(self._cells), 'cell')} done"
+        return f"{done} of {count(len(self._cells), 'cell')} finished"
 
     def lost(self, cells: Sequence[Cell], why: str) -> None:
-        """The launcher failed; those of some cells that have no rows are still to be run."""
-        print(f"sweep: {self._done()}; {why}", flush=True)
+        """Record that the launcher failed.
+
+        Args:
+            cells: that it was running.
+            why: reason, as a sentence without a full stop.
+        """
+        print(f"sweep: {self._finished()}; {why}", flush=True)
         for cell in cells:
-            cell.mistake = f"did not end: {why}; the same command goes on"
+            cell.mistake = f"did not finish: {why}; {_RESUME}"
 
     def report(self) -> None:
-        """Say what each cell came to.
+        """Print the result of each cell, or why it has none.
 
         Raises:
-            SystemExit: one has no rows.
+            SystemExit: a cell has no rows.
         """
-        print(f"sweep: {self._done()}", flush=True)
+        print(f"sweep: {self._finished()}", flush=True)
         for cell in self._cells:
             if cell.is_done:
                 newest = max(cell.runs, key=lambda path: path.stat().st_mtime_ns)
@@ -123,21 +130,22 @@ class SweepProgress:
                 print(f"  {cell.command}\n    AER {mean_and_std(aer)}  {newest.parent}", flush=True)
         missing = [cell for cell in self._cells if not cell.is_done]
         for cell in missing:
-            what, why = ("failed", cell.mistake) if cell.mistake else ("not done", _NO_REASON)
-            print(f"ril-run: {what}: {cell.command}\n  {why}", file=sys.stderr, flush=True)
+            state, why = ("failed", cell.mistake) if cell.mistake else ("not finished", _NO_REASON)
+            print(f"ril-run: {state}: {cell.command}\n  {why}", file=sys.stderr, flush=True)
         if missing:
             sys.exit(f"ril-run: {len(missing)} of {count(len(self._cells), 'cell')} without rows")
 
 
 def _expected_seconds(cells: Sequence[Cell], output_dir: Path) -> np.ndarray:
-    """Seconds that each cell will take, by those of finished ones; NaN where there is none."""
-    rows, _ = load_results([output_dir])  # ril-report will say what it cannot use
+    """Return the expected seconds of each cell (N,), by finished runs; NaN where there is none."""
+    rows, _ = load_results([output_dir])  # ril-report reports files that cannot be read
     return np.array([_expected(cell.config, rows) for cell in cells if cell.config is not None])
 
 
 def _expected(config: Config, rows: pd.DataFrame) -> float:
-    like = rows[(rows["env"] == config.env.name) & (rows["method"] == config.method.name)]
+    """Return the expected seconds of a run, in proportion to its budget."""
+    past = rows[(rows["env"] == config.env.name) & (rows["method"] == config.method.name)]
     budget = spec(config.method.name).budget
     if not budget:
-        return float(like["wall_seconds"].mean())
-    return float((like["wall_seconds"] / like[budget]).mean() * getattr(config.method, budget))
+        return float(past["wall_seconds"].mean())
+    return float((past["wall_seconds"] / past[budget]).mean() * getattr(config.method, budget))

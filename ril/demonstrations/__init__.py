@@ -1,1 +1,1 @@
-"""Expert trajectories: what they hold, and the files that they come in."""
+"""Expert trajectories, and the files that store them."""

@@ -1,4 +1,4 @@
-"""Demonstrations on disk: which ship with the package, and any file read and checked."""
+"""Find and load demonstrations: the shipped files, or a file of the user's, fully checked."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from ril.environments import Environment
 from ril.io.errors import UserError
 
 SHIPPED = Path(__file__).parent / "data"
-_TOLERANCE = 0.01  # of the range of an observation's entry, which it may lie beyond its bounds
-_OFF_LEVEL = 0.05  # of a sub-optimal expert's level, which its mean return may be off
-_MAY_LEAVE = 0.1  # of all states; environments such as LunarLander leave their own space at times
+_BOUND_TOLERANCE = 0.01  # margin beyond an observation's bounds, as a share of their range
+_LEVEL_TOLERANCE = 0.05  # of `ablation.expert_return`, by which the mean return may differ
+#: Share of states that may lie outside the bounds: LunarLander's leave its own space at times.
+_MAX_SHARE_OUTSIDE = 0.1
 
 
 def shipped_path(name: str) -> Path:
-    """Where the demonstrations that come with the package lie for `env=name`."""
+    """Return the path of a shipped file, such as `mountaincar` or `mountaincar_-140`."""
     return SHIPPED / f"{name}.npz"
 
 
 def demonstrations_path(config: Config) -> Path:
-    """What a run learns from: the path it gives, or the file that ships for its environment.
+    """Return the path of a run's demonstrations: the user's, or the file shipped for its cell.
 
     Raises:
-        UserError: none ships for it.
+        UserError: no file is shipped for this environment and expert level.
     """
     if config.demonstrations is not None:
         return Path(config.demonstrations)
@@ -39,39 +40,43 @@ def demonstrations_path(config: Config) -> Path:
     path = shipped_path(name)
     if not path.is_file():
         key = "demonstrations=null" if level is None else f"ablation.expert_return={level:g}"
-        every = sorted(file.stem for file in path.parent.glob(f"{config.env.name}*.npz"))
-        only = f" (only {', '.join(every)})" if every else ""
-        raise UserError(f"{key}: none ship for {name}{only}; give demonstrations=PATH")
+        available = sorted(file.stem for file in path.parent.glob(f"{config.env.name}*.npz"))
+        only = f", only for {', '.join(available)}" if available else ""
+        raise UserError(f"{key}: no file is shipped for {name}{only}; give demonstrations=PATH")
     return path
 
 
 def check_level(config: Config, demonstrations: Demonstrations) -> None:
-    """Refuse an expert that is not of the level that it is said to be.
+    """Refuse demonstrations that do not match `ablation.expert_return` (§7).
 
     Raises:
-        UserError: the mean return lies more than 5 % off `ablation.expert_return`.
+        UserError: their mean return differs from it by more than 5 %.
     """
     level, mean = config.ablation.expert_return, demonstrations.returns.mean()
-    if level is not None and abs(mean - level) > _OFF_LEVEL * abs(level):
+    if level is not None and abs(mean - level) > _LEVEL_TOLERANCE * abs(level):
         raise UserError(
-            f"ablation.expert_return={level:g}: demonstrations={config.demonstrations} return "
-            f"{mean:.2f} on average, more than 5 % off"
+            f"ablation.expert_return={level:g}: the mean return of "
+            f"demonstrations={config.demonstrations} is {mean:.2f}; it may differ by at most 5 %"
         )
 
 
 def load_demonstrations(path: Path, environment: Environment) -> Demonstrations:
-    """Read and check an npz file or a Minari dataset (docs/demonstrations.md).
+    """Load and check an npz file or a Minari dataset (docs/demonstrations.md).
 
     Nothing in it is ever unpickled.
 
+    Args:
+        path: of the npz file, or of the dataset's folder.
+        environment: whose observation and action spaces the arrays must fit.
+
     Raises:
-        UserError: it is missing, unreadable or in no known layout, or holds shapes or values
-            that do not fit each other or the environment.
+        UserError: the path is missing or unreadable, its layout is unknown, or its arrays fit
+            neither each other nor the environment.
     """
     try:
         if path.is_dir():
             folder = data_folder(path)
-            found, digest = read_minari(folder, environment), _digest_of_folder(folder)
+            found, digest = read_minari(folder, environment), _folder_digest(folder)
         elif path.is_file():
             found, digest = read_npz(path), _digest(path)
         else:
@@ -83,11 +88,11 @@ def load_demonstrations(path: Path, environment: Environment) -> Demonstrations:
 
 
 def _check_fit(found: Trajectories, environment: Environment) -> None:
-    """Observations and actions are such as the environment has."""
+    """Refuse observations or actions that lie outside the environment's spaces."""
     name = environment.config.id
-    size, wanted = found.observations.shape[1], environment.observation_size
-    if size != wanted:
-        raise DataError(f"observations have {size} entries each, {name} has {wanted}")
+    size, expected = found.observations.shape[1], environment.observation_size
+    if size != expected:
+        raise DataError(f"observations have {size} entries each, {name} has {expected}")
     first, last = found.actions.min(), found.actions.max()
     if first < 0 or last >= environment.action_count:
         raise DataError(
@@ -98,9 +103,9 @@ def _check_fit(found: Trajectories, environment: Environment) -> None:
     probe.close()
     assert isinstance(space, gym.spaces.Box)  # load_environment has checked it
     low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-    slack = _TOLERANCE * np.where(np.isfinite(high - low), high - low, 1)
-    outside = (found.observations < low - slack) | (found.observations > high + slack)
-    if outside.any(axis=1).mean() > _MAY_LEAVE:
+    margin = _BOUND_TOLERANCE * np.where(np.isfinite(high - low), high - low, 1)
+    outside = (found.observations < low - margin) | (found.observations > high + margin)
+    if outside.any(axis=1).mean() > _MAX_SHARE_OUTSIDE:
         entry = int(outside.sum(axis=0).argmax())
         values = found.observations[:, entry]
         raise DataError(
@@ -110,13 +115,13 @@ def _check_fit(found: Trajectories, environment: Environment) -> None:
 
 
 def _digest(file: Path) -> str:
-    """The SHA-256 of a file's content."""
+    """Return the SHA-256 of a file's content."""
     with file.open("rb") as opened:
         return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
-def _digest_of_folder(folder: Path) -> str:
-    """The SHA-256 of the names and contents of all files in a folder, in the names' order."""
+def _folder_digest(folder: Path) -> str:
+    """Return the SHA-256 of the sorted names and contents of all files in a folder."""
     files = sorted((f.relative_to(folder).as_posix(), f) for f in folder.rglob("*") if f.is_file())
     listing = "".join(f"{_digest(file)}  {name}\n" for name, file in files)
     return hashlib.sha256(listing.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The layouts that an npz file of demonstrations may have, each turned into the same arrays."""
+"""The layouts of npz demonstrations, each converted to the same arrays."""
 
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ from ril.environments import Floats
 
 Arrays = Mapping[str, NDArray[Any]]
 
-#: ril's own layout; what `ril-expert` writes holds `terminated` besides.
+#: ril's own layout; `ril-expert` adds `terminated`, which is not needed here.
 OWN = ("observations", "actions", "rewards", "lengths")
-#: That of IL-Datasets and Stable-Baselines 2, whose `episode_returns` may be left out.
+#: The layout of IL-Datasets and Stable-Baselines 2; `episode_returns` is optional.
 IL_DATASETS = ("obs", "actions", "rewards", "episode_starts")
 
 _OPTIONAL = ("episode_returns",)
 _WHOLE = ("actions", "lengths", "episode_starts")
 _TABLES = ("observations", "obs")
-_ROUNDING = 1e-4  # of the sum of |rewards|: what adding a thousand of them in float32 may lose
+#: Tolerance of `episode_returns`, as a share of the sum of |rewards|: the rounding error of adding
+#: a thousand of them in float32.
+_ROUNDING = 1e-4
 
 
 class DataError(Exception):
-    """What is wrong with demonstrations, in one line; the reader's caller adds where they lie."""
+    """A fault of demonstrations, in one line; `load_demonstrations` adds their path."""
 
 
 class Trajectories(NamedTuple):
-    """What every layout is turned into; `Demonstrations` says what the arrays mean."""
+    """The arrays that every layout is converted to; see `Demonstrations` for their meaning."""
 
     observations: Floats
     actions: NDArray[np.int64]
@@ -41,7 +43,8 @@ def read_npz(path: Path) -> Trajectories:
     """Read an npz file in either layout; nothing in it is ever unpickled.
 
     Raises:
-        DataError: it is torn, not npz, in neither layout, or its arrays do not fit each other.
+        DataError: the file is damaged, not npz, in neither layout, or its arrays do not fit each
+            other.
     """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -50,16 +53,20 @@ def read_npz(path: Path) -> Trajectories:
             arrays = {name: _plain(archive, name) for name in names}
     except DataError:
         raise
-    except Exception:  # a damaged file has zipfile, zlib and numpy raise a dozen kinds
+    except Exception:  # zipfile, zlib and numpy raise many types on a damaged file
         raise DataError("not a readable npz file of plain arrays") from None
     return from_own(arrays) if layout == OWN else from_il_datasets(arrays)
 
 
 def from_own(arrays: Arrays) -> Trajectories:
-    """Observations with each trajectory's final one; actions and rewards for all others.
+    """Convert ril's own layout of E trajectories with M transitions.
+
+    Args:
+        arrays: `observations` (M + E, obs), with each trajectory's final state; `actions` (M,);
+            `rewards` (M,); `lengths` (E,).
 
     Raises:
-        DataError: an array does not hold numbers of its kind, or they do not fit each other.
+        DataError: an array holds values of a wrong kind, or the arrays do not fit each other.
     """
     arrays = {name: _numbers(name, arrays[name]) for name in OWN}
     observations, actions, rewards, lengths = (arrays[name] for name in OWN)
@@ -71,19 +78,24 @@ def from_own(arrays: Arrays) -> Trajectories:
         ("observations", steps + len(lengths)),
     ):
         if len(arrays[name]) != needed:
-            raise DataError(f"{name} has {len(arrays[name])} entries, its lengths say {needed}")
+            raise DataError(f"{name} has {len(arrays[name])} entries, its lengths require {needed}")
     returns = np.add.reduceat(rewards, np.cumsum(lengths) - lengths)
     return Trajectories(observations, actions, lengths, returns)
 
 
 def from_il_datasets(arrays: Arrays) -> Trajectories:
-    """One row for each step; usually without the state that an episode ends in.
+    """Convert the layout of IL-Datasets: a row per step, N steps of E episodes.
 
-    Then T rows are T − 1 pairs of states, and the last action leads nowhere; IL-Datasets' own
-    loader drops it too. Its reward still counts in the return.
+    Episodes usually lack the state in which they end. T rows are then T − 1 pairs of states, and
+    the last action is dropped, since it leads to no recorded state; IL-Datasets' own loader does
+    the same. The last reward still counts in the return.
+
+    Args:
+        arrays: `obs` (N, obs), or (N + E, obs) with final states; `actions` (N,); `rewards` (N,);
+            `episode_starts` (N,) of 0 and 1; optionally `episode_returns` (E,).
 
     Raises:
-        DataError: an array does not hold numbers of its kind, or they do not fit each other.
+        DataError: an array holds values of a wrong kind, or the arrays do not fit each other.
     """
     arrays = {name: _numbers(name, array) for name, array in arrays.items()}
     observations, actions, rewards, is_start = (arrays[name] for name in IL_DATASETS)
@@ -108,23 +120,23 @@ def from_il_datasets(arrays: Arrays) -> Trajectories:
     returns = np.add.reduceat(rewards, starts)
     if "episode_returns" in arrays:
         rounding = _ROUNDING * (1 + np.add.reduceat(np.abs(rewards), starts))
-        returns = _agreeing(arrays["episode_returns"], returns, rounding)
+        returns = _checked_returns(arrays["episode_returns"], returns, rounding)
     return Trajectories(observations, actions, lengths, returns)
 
 
 def _layout(names: Sequence[str]) -> tuple[str, ...]:
-    """The arrays of the layout whose arrays are all there."""
+    """Return the first layout of which a file has all arrays."""
     for layout in (OWN, IL_DATASETS):
         if set(layout) <= set(names):
             return layout
     raise DataError(
         f"has the arrays {', '.join(sorted(names)) or '(none)'}; "
-        f"needs {', '.join(OWN)}, or as IL-Datasets has them {', '.join(IL_DATASETS)}"
+        f"needs {', '.join(OWN)} (ril's layout) or {', '.join(IL_DATASETS)} (IL-Datasets')"
     )
 
 
 def _plain(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
-    """One array of an open npz file that holds no objects."""
+    """Return one array of an open npz file; refuse Python objects."""
     try:
         return np.asarray(archive[name])
     except ValueError as error:
@@ -134,7 +146,7 @@ def _plain(archive: Mapping[str, NDArray[Any]], name: str) -> NDArray[Any]:
 
 
 def _numbers(name: str, array: NDArray[Any]) -> NDArray[Any]:
-    """The array as int64, float32 or float64, whichever it is to be; (N, 1) counts as (N,)."""
+    """Convert an array to the type of its name: int64, float32 or float64; (N, 1) becomes (N,)."""
     if array.dtype.kind not in "fiub":
         raise DataError(f"{name} holds {array.dtype}, needs numbers")
     dimensions = 2 if name in _TABLES else 1
@@ -154,7 +166,7 @@ def _numbers(name: str, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check_lengths(lengths: NDArray[np.int64]) -> None:
-    """Every trajectory has a pair of states to learn from, and there is one."""
+    """Refuse a file without trajectories, or with one that has no pair of states."""
     if not len(lengths):
         raise DataError("holds no trajectory")
     if (short := np.flatnonzero(lengths < 1)).size:
@@ -164,17 +176,17 @@ def _check_lengths(lengths: NDArray[np.int64]) -> None:
         )
 
 
-def _agreeing(
+def _checked_returns(
     given: NDArray[np.float64], sums: NDArray[np.float64], rounding: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The returns that a file gives, if its rewards add up to them."""
+    """Return the (E,) returns of a file if they equal the sums of its rewards, up to rounding."""
     if len(given) != len(sums):
         raise DataError(
             f"episode_returns has {len(given)} entries, episode_starts {len(sums)} starts"
         )
-    if (apart := np.flatnonzero(np.abs(given - sums) > rounding)).size:
+    if (different := np.flatnonzero(np.abs(given - sums) > rounding)).size:
         raise DataError(
-            f"episode_returns says {given[apart[0]]:g} of trajectory {apart[0] + 1}, "
-            f"its rewards sum to {sums[apart[0]]:g}"
+            f"episode_returns of trajectory {different[0] + 1} is {given[different[0]]:g}, "
+            f"its rewards sum to {sums[different[0]]:g}"
         )
     return given

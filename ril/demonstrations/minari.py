@@ -1,4 +1,4 @@
-"""Demonstrations as Minari stores them: a folder with one HDF5 file of episodes."""
+"""Minari datasets of demonstrations: a folder with one HDF5 file of episodes."""
 
 from __future__ import annotations
 
@@ -15,27 +15,31 @@ from ril.io.errors import one_line
 
 
 def data_folder(path: Path) -> Path:
-    """Where a dataset's files lie, whether its own folder is given or the `data` in it.
+    """Return the `data` folder of a dataset, given that folder or its parent.
 
     Raises:
-        DataError: there is no Minari dataset.
+        DataError: neither holds a Minari dataset.
     """
     for folder in (path, path / "data"):
         if (folder / "metadata.json").is_file():
             return folder
-    raise DataError("a folder, but not of a Minari dataset: has no data/metadata.json")
+    raise DataError("a folder without data/metadata.json, so not a Minari dataset")
 
 
 def read_minari(folder: Path, environment: Environment) -> Trajectories:
-    """Read a dataset's data folder, episode by episode.
+    """Read all episodes of a dataset.
+
+    Args:
+        folder: the dataset's `data` folder.
+        environment: whose spaces the dataset must have.
 
     Raises:
-        DataError: minari is not installed or cannot read it, its spaces are not the environment's,
-            or its arrays do not fit each other.
+        DataError: minari is not installed or cannot read the dataset, its spaces are not the
+            environment's, or its arrays do not fit each other.
     """
     try:
-        # Of a dataset without spaces, minari would make the environment that its metadata name,
-        # and that may be any function of any module.
+        # If the metadata name no spaces, minari creates the environment that they name, which can
+        # be any function of any module.
         metadata = json.loads((folder / "metadata.json").read_text(encoding="utf-8"))
         if not {"observation_space", "action_space"} <= metadata.keys():
             raise DataError("metadata.json lacks observation_space or action_space")
@@ -55,7 +59,7 @@ def read_minari(folder: Path, environment: Environment) -> Trajectories:
         raise DataError(
             f"reading Minari needs pip install -e '.[minari]' ({one_line(error)})"
         ) from None
-    except Exception as error:  # a damaged file has json, gymnasium, h5py and minari raise theirs
+    except Exception as error:  # json, gymnasium, h5py and minari raise many types
         raise DataError(
             f"minari cannot read it ({type(error).__name__}: {one_line(error)})"
         ) from None
@@ -63,7 +67,7 @@ def read_minari(folder: Path, environment: Environment) -> Trajectories:
 
 
 def _check_spaces(observations: Space[Any], actions: Space[Any], environment: Environment) -> None:
-    """Observations are vectors of the environment's size, and actions its own, counted from 0."""
+    """Refuse spaces other than a vector of the environment's size and its actions from 0."""
     name, shape, count = (
         environment.config.id,
         (environment.observation_size,),
@@ -78,12 +82,12 @@ def _check_spaces(observations: Space[Any], actions: Space[Any], environment: En
 
 
 def _check_final_states(counts: list[tuple[int, int]]) -> None:
-    """Every episode has one observation more than actions."""
+    """Refuse episodes without a final state: (observations, actions) counts must differ by 1."""
     if not counts:
         raise DataError("holds no trajectory")
     for number, (observations, actions) in enumerate(counts, start=1):
         if observations != actions + 1:
             raise DataError(
                 f"trajectory {number} of {len(counts)} has {observations} observations "
-                f"for {actions} actions, needs one more than these"
+                f"for {actions} actions, needs {actions + 1}"
             )

@@ -1,4 +1,4 @@
-"""Expert trajectories, cut to the first n and handed on with or without the expert's actions."""
+"""Expert trajectories: the first n of them, as states only or with the expert's actions."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ril.io.errors import UserError
 
 @dataclass(frozen=True)
 class StateTransitions:
-    """What a method that learns from observation may see of the expert: T^e (Alg. 1, line 3).
+    """The expert's transitions T^e without actions (Alg. 1, line 3).
 
     Attributes:
-        observations: (M, obs) scaled states s_t, all trajectories one after another.
+        observations: (M, obs) scaled states s_t, trajectory after trajectory.
         next_observations: (M, obs) scaled states s_{t+1}.
         trajectories: the number of trajectories.
     """
@@ -27,22 +27,22 @@ class StateTransitions:
 
     @classmethod
     def none(cls, environment: Environment) -> StateTransitions:
-        """What a method sees that is shown no expert."""
+        """Return no transitions, for methods that see no expert."""
         nothing = np.zeros((0, environment.observation_size), dtype=np.float32)
         return cls(nothing, nothing, trajectories=0)
 
     @property
     def mean_length(self) -> float:
-        """Transitions per trajectory, which sets the replay memory's size (§3.4)."""
+        """Return the mean number of transitions per trajectory; it sizes the replay (§3.4)."""
         return len(self.observations) / self.trajectories
 
 
 @dataclass(frozen=True)
 class LabelledTransitions(StateTransitions):
-    """What a method with access to the ground truth sees besides: the expert's actions.
+    """The expert's transitions with its actions, for methods that see the ground truth.
 
     Attributes:
-        actions: (M,) taken in the states s_t.
+        actions: (M,) the expert's actions in the states s_t.
     """
 
     actions: NDArray[np.int64]
@@ -53,11 +53,11 @@ class Demonstrations:
     """Trajectories of one expert.
 
     Attributes:
-        observations: (M + E, obs) raw states; a trajectory of length T has T + 1 of them.
+        observations: (M + E, obs) raw states; a trajectory of T transitions has T + 1 states.
         actions: (M,) the expert's actions.
         lengths: (E,) transitions of each trajectory; they sum to M.
         returns: (E,) undiscounted return of each trajectory.
-        sha256: of the file.
+        sha256: of the file, or of the names and contents of a dataset's files.
     """
 
     observations: Floats
@@ -67,10 +67,10 @@ class Demonstrations:
     sha256: str = ""
 
     def first(self, trajectories: int) -> Demonstrations:
-        """The first trajectories only, as the paper picks them.
+        """Return the first n trajectories (§5.2.1, §6.3).
 
         Raises:
-            UserError: fewer are available.
+            UserError: n is below 1, or fewer are available.
         """
         available = len(self.lengths)
         if not 1 <= trajectories <= available:
@@ -85,16 +85,16 @@ class Demonstrations:
         )
 
     def states(self, environment: Environment) -> StateTransitions:
-        """The state-only view (s_t, s_{t+1}), scaled; actions and returns stay behind."""
+        """Return the scaled pairs (s_t, s_{t+1}), without actions and returns."""
         return StateTransitions(*self._scaled_pairs(environment), len(self.lengths))
 
     def labelled(self, environment: Environment) -> LabelledTransitions:
-        """The same view, scaled, with the expert's actions."""
+        """Return the scaled pairs (s_t, s_{t+1}) with the expert's actions."""
         pairs = self._scaled_pairs(environment)
         return LabelledTransitions(*pairs, len(self.lengths), self.actions.copy())
 
     def _scaled_pairs(self, environment: Environment) -> tuple[Floats, Floats]:
-        """(M, obs) scaled states s_t, and their s_{t+1}."""
+        """Return (M, obs) scaled states s_t, and (M, obs) their successors s_{t+1}."""
         last = np.cumsum(self.lengths + 1) - 1
         is_last = np.zeros(len(self.observations), dtype=bool)
         is_last[last] = True

@@ -1,1 +1,1 @@
-"""Train an expert to a given return and collect its trajectories."""
+"""Training an expert to a given return, and collecting its trajectories."""

@@ -1,4 +1,4 @@
-"""Episodes of one policy: played side by side, put in order, written as demonstrations."""
+"""Play episodes of one policy, put them in order, and save them as demonstrations."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Episode:
     """One episode of T steps.
 
     Attributes:
-        seed: what the environment was reset with.
+        seed: of the environment's reset.
         observations: (T + 1, obs) raw states.
         actions: (T,) actions.
         rewards: (T,) rewards.
-        terminated: whether the environment ended it, rather than the step limit.
+        terminated: whether the environment ended the episode, not the step limit.
     """
 
     seed: int
@@ -35,17 +35,26 @@ class Episode:
 
     @property
     def length(self) -> int:
-        """T, in steps."""
+        """Return T, the number of steps."""
         return len(self.actions)
 
     @property
     def total_reward(self) -> float:
-        """The undiscounted return."""
+        """Return the undiscounted return."""
         return float(self.rewards.sum(dtype=np.float64))
 
 
 def play(environment: Environment, policy: Policy, seeds: Sequence[int]) -> list[Episode]:
-    """Play one episode per reset seed, all side by side; they come back in the seeds' order."""
+    """Play one episode per reset seed, all of them at the same time.
+
+    Args:
+        environment: of which each episode has a copy.
+        policy: raw observations (N, obs) of the N running episodes to actions (N,).
+        seeds: reset seeds.
+
+    Returns:
+        The episodes, in the order of their seeds.
+    """
     copies = [environment.make() for _ in seeds]
     observations = [[env.reset(seed=seed)[0]] for env, seed in zip(copies, seeds, strict=True)]
     actions: list[list[int]] = [[] for _ in seeds]
@@ -80,13 +89,22 @@ def play(environment: Environment, policy: Policy, seeds: Sequence[int]) -> list
 def put_first(
     episodes: Sequence[Episode], first_length: int | None, target_return: float, margin: float
 ) -> list[Episode]:
-    """Move one episode to the front: the one that single-trajectory runs will see (Table 6).
+    """Move the episode that single-trajectory runs will see to the front (Table 6).
 
-    It is the one whose length is nearest `first_length` among those that are what the expert is
-    meant to be: at most `margin` below `target_return`, and at most one standard deviation of
-    the returns (or `margin`) above it, lest a poor expert be shown by its best episode. If there
-    is none such, all count; of equally near ones it is the best, then the earliest. The others
-    keep their order, as all do if `first_length` is None.
+    The candidates are the typical episodes: those that return at most `margin` less than
+    `target_return`, and at most the larger of `margin` and one standard deviation of the returns
+    more. The upper limit keeps the best episode of a sub-optimal expert from representing it. If
+    no episode is typical, all are candidates. The candidate with the length nearest `first_length`
+    is chosen; ties go to the highest return, then to the earliest.
+
+    Args:
+        episodes: in the order in which they were collected.
+        first_length: steps; None leaves the order as it is.
+        target_return: mean return that the expert was trained to.
+        margin: tolerance of that return.
+
+    Returns:
+        All episodes; those that were not chosen keep their order.
     """
     if first_length is None:
         return list(episodes)
@@ -97,7 +115,7 @@ def put_first(
 
 
 def pack(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
-    """The episodes, one after another, as the arrays of ril's own layout of demonstrations."""
+    """Concatenate episodes into the arrays of ril's own layout (docs/demonstrations.md)."""
     return {
         "observations": np.concatenate([e.observations for e in episodes]),
         "actions": np.concatenate([e.actions for e in episodes]),
@@ -108,6 +126,6 @@ def pack(episodes: Sequence[Episode]) -> dict[str, NDArray[Any]]:
 
 
 def save(path: Path, episodes: Sequence[Episode]) -> None:
-    """Write the episodes as a compressed npz file of demonstrations."""
+    """Write episodes as a compressed npz file of demonstrations."""
     arrays: dict[str, Any] = pack(episodes)
     np.savez_compressed(path, allow_pickle=False, **arrays)

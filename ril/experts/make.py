@@ -1,4 +1,4 @@
-"""Make an expert of a given return: a file of its trajectories, and one that says how."""
+"""Train an expert, and write its trajectories beside a JSON record of how they were made."""
 
 from __future__ import annotations
 
@@ -23,10 +23,18 @@ from ril.io.errors import UserError
 
 
 def make_expert(config: ExpertConfig, command: str, on_step: OnStep) -> dict[str, Any]:
-    """Train, collect, and write `output` and the `.json` beside it, which is handed back.
+    """Train an expert, collect its trajectories, and write both files.
+
+    Args:
+        config: of `ril-expert`.
+        command: the command line, for the record.
+        on_step: called during training; see `OnStep`.
+
+    Returns:
+        The record, as written to the `.json` file beside `config.output`.
 
     Raises:
-        UserError: a value cannot be used, or the target is not reached; nothing is written.
+        UserError: a value is not allowed, or the target is not reached; nothing is written.
     """
     import torch
 
@@ -67,45 +75,46 @@ def _summary(values: Sequence[float]) -> dict[str, float]:
 
 
 def _check(config: ExpertConfig) -> None:
-    """Refuse what cannot work before anything is trained."""
+    """Refuse values that are not allowed, before anything is trained."""
     import torch
 
     output = Path(config.output)
     existing = next(folder for folder in output.absolute().parents if folder.exists())
-    for key, fine, allowed in (
+    budget, length = config.total_timesteps, config.first_length
+    for key, is_allowed, allowed in (
         ("algorithm", config.algorithm in ("ppo", "dqn"), "ppo or dqn"),
         ("target_return", math.isfinite(config.target_return), "a finite number"),
         ("tolerance", 0 < config.tolerance < math.inf, "a number above 0, such as 0.03"),
-        ("total_timesteps", config.total_timesteps >= 1, "1 or more"),
-        ("check_every", 1 <= config.check_every <= config.total_timesteps, "1..total_timesteps"),
+        ("total_timesteps", budget >= 1, "1 or more"),
+        ("check_every", 1 <= config.check_every <= budget, f"within 1..total_timesteps={budget}"),
         ("episodes", config.episodes >= 1, "1 or more"),
-        ("first_length", config.first_length is None or config.first_length >= 1, "null or >= 1"),
+        ("first_length", length is None or length >= 1, "null, or 1 or more"),
         ("seed", 0 <= config.seed < 2**32, "within 0..4294967295"),
         ("output", output.suffix == ".npz" and not output.is_dir(), "a file named *.npz"),
         ("output", existing.is_dir() and os.access(existing, os.W_OK), "in a writable folder"),
     ):
-        if not fine:
+        if not is_allowed:
             raise UserError(f"{key}={getattr(config, key)}: must be {allowed}")
     try:
         torch.zeros(1, device=config.device)
     except (RuntimeError, AssertionError):
-        raise UserError(f"device={config.device}: not a device torch can use here") from None
+        raise UserError(f"device={config.device}: torch cannot use it on this machine") from None
 
 
 def _write(episodes: Sequence[Episode], record: dict[str, Any], output: Path) -> dict[str, Any]:
-    """Write both files under temporary names, then rename them into place."""
-    described = output.with_suffix(".json")
-    arrays, text = (path.with_name(f".{os.getpid()}-{path.name}") for path in (output, described))
+    """Write both files under temporary names, then rename them; return the record with SHA-256."""
+    record_path = output.with_suffix(".json")
+    arrays, text = (path.with_name(f".{os.getpid()}-{path.name}") for path in (output, record_path))
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
         save(arrays, episodes)
         record = {"sha256": hashlib.sha256(arrays.read_bytes()).hexdigest(), **record}
         text.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         arrays.replace(output)
-        text.replace(described)
+        text.replace(record_path)
     except OSError as error:
         raise UserError(f"output={output}: cannot be written ({error.strerror})") from None
     finally:
-        for left in (arrays, text):
-            left.unlink(missing_ok=True)
+        for temporary in (arrays, text):
+            temporary.unlink(missing_ok=True)
     return record

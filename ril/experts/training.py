@@ -1,8 +1,8 @@
-"""Train an expert with Stable-Baselines3 until its greedy policy is as good as wanted, no better.
+"""Train an expert with Stable-Baselines3 until its greedy policy has a given mean return.
 
-The paper's experts are known by their returns: 500, −85, −106 and 235.96 (Table 2), and lower
-ones on purpose (§7, Table 9). So training is interrupted every few thousand steps, and ends once
-the mean return lies within a tolerance of the target, above or below.
+The paper describes its experts by their returns alone: 500, −85, −106 and 235.96 (Table 2), and
+lower ones for its sub-optimal experts (§7, Table 9). So training is evaluated every few thousand
+steps, and ends once the mean return lies within a tolerance of the target, above or below.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from omegaconf import MISSING
 from ril.config.schema import EnvironmentConfig
 from ril.environments import Environment, Floats
 from ril.experts.collection import Episode, play
-from ril.io.errors import UserError
+from ril.io.errors import UserError, one_line
 
-EVALUATION_EPISODES = 100  # as many as AER is a mean of (§4)
-OnStep = Callable[[int, float | None], None]  # steps so far, and the mean return if just measured
+EVALUATION_EPISODES = 100  # as AER's (§4)
+OnStep = Callable[[int, float | None], None]  # steps so far, and the mean return if just evaluated
 
 
 @dataclass
 class ExpertConfig:
-    """What `conf/expert.yaml` and `conf/expert/*.yaml` say, where each key is explained."""
+    """The configuration of `ril-expert`; `conf/expert.yaml` explains each key."""
 
     env: EnvironmentConfig = field(default_factory=EnvironmentConfig)
     algorithm: str = MISSING
@@ -46,7 +46,7 @@ class ExpertConfig:
 
     @property
     def margin(self) -> float:
-        """How far from `target_return` a mean may lie, in units of return."""
+        """Return the allowed distance of a mean from `target_return`, in units of return."""
         return self.tolerance * max(1.0, abs(self.target_return))
 
 
@@ -55,14 +55,19 @@ def train(
 ) -> tuple[list[Episode], int, float]:
     """Train until the greedy policy's mean return lies within the tolerance of the target.
 
-    Two means have to: that of 100 episodes which only decide, and that of `config.episodes`
-    other ones, which are handed on (returns can be so uneven that one mean says little).
+    Two means must: that of 100 evaluation episodes, and that of `config.episodes` others, which
+    are collected. Returns can vary so much between episodes that one mean says little.
+
+    Args:
+        config: of `ril-expert`.
+        environment: to train in.
+        on_step: called after every step of the environments.
 
     Returns:
-        The episodes to hand on, the steps trained, and the mean return of the deciding ones.
+        The collected episodes, the steps trained, and the mean return of the evaluation episodes.
 
     Raises:
-        UserError: a hyperparameter is unknown or unfit, or the target is not reached.
+        UserError: a hyperparameter is unknown or not allowed, or the target is not reached.
     """
     from stable_baselines3 import DQN, PPO
     from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
@@ -75,7 +80,8 @@ def train(
     try:
         model = kind("MlpPolicy", vec_env, seed=config.seed, device=config.device, **settings)
     except (TypeError, ValueError, AssertionError) as error:
-        raise UserError(f"{config.algorithm}: not what {kind.__name__} takes: {error}") from None
+        refusal = f"{kind.__name__} refuses a value: {one_line(error)}"
+        raise UserError(f"{config.algorithm}: {refusal}") from None
 
     def policy(observations: Floats) -> NDArray[np.integer]:
         if isinstance(vec_env, VecNormalize):
@@ -92,7 +98,7 @@ def train(
     collected: list[Episode] = []
 
     def check(_locals: dict[str, Any], _globals: dict[str, Any]) -> bool:
-        """Whether to go on training."""
+        """Evaluate if it is time; return whether to continue training."""
         steps = model.num_timesteps
         on_step(steps, None)
         if steps < (means[-1][0] if means else 0) + config.check_every:
@@ -115,30 +121,42 @@ def train(
     raise UserError(
         f"target_return={config.target_return:g}: not reached within ±{config.margin:.3g} in "
         f"total_timesteps={config.total_timesteps} (nearest mean {nearest:.2f}, at step {steps}); "
-        "allow more steps, a larger tolerance, a smaller check_every, more episodes or another seed"
+        "give more steps, a larger tolerance, a smaller check_every, more episodes or another seed"
     )
 
 
 def _settings(config: ExpertConfig, kind: type) -> tuple[int, bool, dict[str, Any]]:
-    """Copies of the environment, whether to normalise, and what `kind` is called with."""
+    """Check an algorithm's settings.
+
+    Args:
+        config: of `ril-expert`.
+        kind: class of the algorithm.
+
+    Returns:
+        The number of environments, whether to normalize observations and rewards, and the keyword
+        arguments of `kind`.
+
+    Raises:
+        UserError: a setting does not exist, or its value has a wrong type.
+    """
     settings = dict(getattr(config, config.algorithm))
     for key, value in settings.items():
         known = inspect.signature(kind).parameters
         default = {"n_envs": 1, "normalize": False}.get(key)
         if default is None:
             if key not in known:
-                fault = f"{kind.__name__} has no such setting"
-                raise UserError(f"{config.algorithm}.{key}={value}: {fault}")
+                raise UserError(f"{config.algorithm}.{key}={value}: no such key of {kind.__name__}")
             default = known[key].default
         if isinstance(default, bool):
-            fine, allowed = isinstance(value, bool), "true or false"
+            is_allowed, allowed = isinstance(value, bool), "true or false"
         elif isinstance(default, int | float):
             if key in ("learning_rate", "clip_range"):
                 value = settings[key] = _schedule(value)
-            fine, allowed = isinstance(value, int | float) or callable(value), "a number"
+            is_allowed = isinstance(value, int | float) or callable(value)
+            allowed = "a number"
         else:
             continue
-        if not fine:
+        if not is_allowed:
             raise UserError(f"{config.algorithm}.{key}={value}: must be {allowed}")
     n_envs = settings.pop("n_envs", 1)
     if not isinstance(n_envs, int) or n_envs < 1:
@@ -147,7 +165,10 @@ def _settings(config: ExpertConfig, kind: type) -> tuple[int, bool, dict[str, An
 
 
 def _schedule(value: Any) -> Any:
-    """`lin_0.001` as RL Zoo means it: falls linearly to 0 over the training; others as they are."""
+    """Convert RL Zoo's `lin_0.001` to a schedule that falls linearly from 0.001 to 0.
+
+    Numbers become floats; other values are returned unchanged, to be refused.
+    """
     try:
         start = float(str(value).removeprefix("lin_"))
     except ValueError:
@@ -156,4 +177,5 @@ def _schedule(value: Any) -> Any:
 
 
 def _mean(episodes: Sequence[Episode]) -> float:
+    """Return the mean return of some episodes."""
     return float(np.mean([episode.total_reward for episode in episodes]))

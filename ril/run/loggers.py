@@ -1,4 +1,4 @@
-"""Where a run's curve goes besides `curve.csv`, while it is being trained."""
+"""Send a run's curve to a logger, such as TensorBoard, while it trains."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from ril.run.training import Display
 
 @runtime_checkable
 class Logger(Protocol):
-    """What `logging=…` names by its `_target_`, whose other keys its constructor is given."""
+    """A class that `logging=…` names in `_target_`; its constructor gets the group's other keys."""
 
     def start(self, config: Config, folder: Path) -> None:
-        """A run begins or goes on in its folder, whose name is its run_id."""
+        """Start or resume a run; the folder's name is its run_id."""
 
     def log(self, points: Sequence[CurvePoint]) -> None:
-        """Some seeds were looked at after an epoch; a point is never given twice in one start."""
+        """Log the evaluations of one epoch: a point per seed, each once per start of the run."""
 
     def finish(self) -> None:
-        """The run is over or stopped, or was never started."""
+        """Close the log: the run has finished or stopped, or was never started."""
 
 
 def make_logger(settings: Mapping[str, Any] | None, name: str | None) -> Logger | None:
-    """The logger that `logging` names, before anything is trained.
+    """Make the logger that `logging` names.
 
     Args:
-        settings: `_target_`, and what its constructor is given; None for no logger.
-        name: by which the user chose it.
+        settings: `_target_`, and the arguments of its constructor; None for no logger.
+        name: the user's choice of the group, for messages.
 
     Raises:
-        UserError: it is none, cannot be imported or made.
+        UserError: the class cannot be imported, is not a logger, or refuses its arguments.
     """
     if settings is None:
         return None
@@ -47,24 +47,25 @@ def make_logger(settings: Mapping[str, Any] | None, name: str | None) -> Logger 
     target = str(given.pop("_target_", ""))
     try:
         kind = pkgutil.resolve_name(target)
-        if not (isinstance(kind, type) and issubclass(kind, Logger)):  # any program else
-            raise TypeError(f"{target} is no class with start, log and finish")
+        # Checked before it is called, so that `_target_` cannot run an arbitrary function.
+        if not (isinstance(kind, type) and issubclass(kind, Logger)):
+            raise TypeError(f"{target} is not a class with start, log and finish")
         return kind(**given)
     except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise UserError(f"logging={name or target}: cannot be used ({one_line(error)})") from None
 
 
 class LoggedDisplay:
-    """A display that hands what is new of the curve to a logger.
+    """A display that also passes each new point of the curve to a logger.
 
     Args:
-        display: what shows the run.
-        logger: what keeps its curve.
+        display: that shows the run.
+        logger: that gets the curve.
     """
 
     def __init__(self, display: Display, logger: Logger) -> None:
         self._display, self._logger = display, logger
-        self._seen: int | None = None
+        self._logged: int | None = None  # points of the curve
         self.scoring, self.noted, self.finished = display.scoring, display.noted, display.finished
 
     def started(self, config: Config, folder: Path, epochs: int) -> None:
@@ -75,21 +76,21 @@ class LoggedDisplay:
     def advanced(self, progress: Progress, record: Record) -> None:
         """See `Display`."""
         self._display.advanced(progress, record)
-        if self._seen is None:  # what an earlier start has seen before its checkpoint
-            self._seen = sum(point.epoch < progress.epoch for point in record.curve)
-        if new := record.curve[self._seen :]:
+        if self._logged is None:  # an earlier start has logged the points of its checkpoint
+            self._logged = sum(point.epoch < progress.epoch for point in record.curve)
+        if new := record.curve[self._logged :]:
             self._logger.log(new)
-        self._seen = len(record.curve)
+        self._logged = len(record.curve)
 
 
 class TensorBoard:
-    """Scalars in `<run>/tensorboard/`: a TensorBoard run per seed, and `mean` over all of them.
+    """Write scalars to `<run>/tensorboard/`: a TensorBoard run per seed, and their `mean`.
 
-    The step is the samples learnt from (§5.2.2), so that methods can be compared by them. Points
-    that a stopped run had written after its last checkpoint are purged.
+    The step is the number of samples (§5.2.2), so that imitation and reinforcement learning can be
+    compared. A resumed run purges the points that it will write again.
 
     Raises:
-        ImportError: the package is missing.
+        ImportError: the package is not installed.
     """
 
     def __init__(self) -> None:
@@ -110,7 +111,7 @@ class TensorBoard:
         """See `Logger`."""
         for point in points:
             self._add(f"seed_{point.seed}", point.samples, _values(point))
-        if len(points) == len(self._seeds):  # none has stopped
+        if len(points) == len(self._seeds):  # no seed has stopped
             every = [_values(point) for point in points]
             means = {name: float(np.mean([values[name] for values in every])) for name in every[0]}
             self._add("mean", int(means["samples"]), means)
@@ -130,4 +131,5 @@ class TensorBoard:
 
 
 def _values(point: CurvePoint) -> dict[str, float]:
+    """Return the scalars of a point by name."""
     return {"aer": point.aer, "epoch": point.epoch, "samples": point.samples, **point.metrics}

@@ -1,4 +1,4 @@
-"""Where a run's numbers come from: code, versions, machine, command."""
+"""The origin of a run's numbers: code, versions, machine, command."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ril import __version__
 
 _LIBRARIES = ("torch", "numpy", "gymnasium", "stable-baselines3", "hydra-core", "pandas")
 _PACKAGE = Path(__file__).parents[1]
-#: Packages whose code no number of a run can depend on.
+#: Folders whose code cannot change a number of a run.
 _SHOWS_ONLY = ("report", "cli")
 
 
 def commit() -> str:
-    """The checkout's commit, with "-dirty" if it has changes; "" where ril is installed."""
+    """Return the checkout's commit, with "-dirty" if it has changes; "" outside a checkout."""
     root = _PACKAGE.parent
     if not (root / ".git").exists():
         return ""
@@ -34,15 +34,15 @@ def commit() -> str:
 
 
 def command() -> str:
-    """The command line, as it can be given again."""
+    """Return the command line, quoted so that a shell can run it again."""
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def origin(identifier: str) -> dict[str, str]:
-    """What must not change between a run's stop and its going on, lest its rows be a mixture.
+    """Return what must be the same when a run resumes, so that its rows are of one version.
 
     Args:
-        identifier: of the run.
+        identifier: the run's `run_id`.
     """
     return {
         "run_id": identifier,
@@ -53,7 +53,7 @@ def origin(identifier: str) -> dict[str, str]:
 
 
 def _code() -> str:
-    """A digest of the code that numbers come from, with changes that are not committed."""
+    """Return a digest of the code that can change a number, uncommitted changes included."""
     digest = hashlib.sha256()
     for file in sorted(_PACKAGE.rglob("*.py")):
         name = file.relative_to(_PACKAGE)
@@ -63,7 +63,12 @@ def _code() -> str:
 
 
 def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
-    """What `provenance.json` holds at the start of a run."""
+    """Return the content of `provenance.json` at the start of a run.
+
+    Args:
+        demonstrations: path of the file.
+        sha256: of its content.
+    """
     return {
         "command": command(),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -84,7 +89,7 @@ def _git(root: Path, *arguments: str) -> str:
 
 
 def _processor() -> str:
-    """The processor's name, as Linux knows it or as Python does."""
+    """Return the processor's name, as reported by Linux or else by Python."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         return next(line.split(":", 1)[1].strip() for line in lines if "model name" in line)

@@ -1,1 +1,1 @@
-"""The measurements of `scripts/benchmark.py`, a file per question."""
+"""The measurements of `scripts/benchmark.py`, one file per question."""

@@ -1,4 +1,4 @@
-"""How things are timed: in turns, by processor time, of which medians are taken."""
+"""Measure processor time and memory: alternatives take turns, and medians are reported."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-#: `ril-run`, which at its end says how much memory it had at its peak. (What the system says of
-#: a child begins with its parent's.)
+#: `ril-run` that prints its own peak memory at exit. (The system's figure for a child process
+#: includes memory of its parent.)
 RUN = (
     sys.executable,
     "-c",
@@ -23,7 +23,10 @@ RUN = (
 
 
 def seconds(work: Callable[[], object], times: int = 1) -> float:
-    """Processor time of one call, of so many; other work on the machine hardly counts."""
+    """Return the processor time of one call, the mean of several.
+
+    Other processes hardly affect it, unlike wall-clock time.
+    """
     started = time.process_time()
     for _ in range(times):
         work()
@@ -31,7 +34,7 @@ def seconds(work: Callable[[], object], times: int = 1) -> float:
 
 
 def in_turns(sides: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, float]:
-    """The median of what each side measures; one after another in each round."""
+    """Return the median of each side's measurements; in every round each side has one turn."""
     measured: dict[str, list[float]] = {name: [] for name in sides}
     for _ in range(rounds):
         for name, side in sides.items():
@@ -40,17 +43,21 @@ def in_turns(sides: Mapping[str, Callable[[], float]], rounds: int) -> dict[str,
 
 
 class Cost(NamedTuple):
-    """What a process took: processor time in seconds, and memory at its peak in MB."""
+    """Processor time of a process in seconds, and its peak memory in MB."""
 
     seconds: float
     megabytes: float
 
 
 def cost(command: tuple[str, ...], **environment: str) -> Cost:
-    """What a command of `RUN` costs.
+    """Run a command that begins with `RUN`, and return its cost.
+
+    Args:
+        command: to run.
+        environment: variables to add.
 
     Raises:
-        RuntimeError: it fails.
+        RuntimeError: the command fails.
     """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ended = subprocess.run(
@@ -69,6 +76,6 @@ def cost(command: tuple[str, ...], **environment: str) -> Cost:
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    """Markdown."""
+    """Format a table in Markdown."""
     lines = [head, ("---",) * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)

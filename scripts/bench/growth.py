@@ -1,4 +1,4 @@
-"""(d) What a command costs before anything is trained; (e) how cost grows with the work."""
+"""(d) The start-up cost of commands; (e) how the cost grows with the amount of work."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SWEEPS = {
 
 
 def start_up(rounds: int) -> tuple[str, float]:
-    """The table of (d), and the seconds of `ril-run --help`."""
+    """Measure (d); return its table, and the seconds of `ril-run --help`."""
     commands = {
         "`ril-run --help`": (*RUN, "--help"),
         "`ril-run --cfg job`": (*RUN, "--cfg", "job"),
@@ -44,9 +44,9 @@ def start_up(rounds: int) -> tuple[str, float]:
 
 
 def growth(quick: bool) -> tuple[str, float]:
-    """The table of (e), and the memory of ten seeds of RIL in MB."""
-    rows, of_ten = [], 0.0
-    for what, sweep in SWEEPS.items():
+    """Measure (e); return its table, and the peak memory of ten seeds of RIL in MB."""
+    rows, ten_seeds = [], 0.0
+    for name, sweep in SWEEPS.items():
         first = None
         for size, overrides in sweep[: 2 if quick else 3]:
             folder = mkdtemp()
@@ -54,8 +54,8 @@ def growth(quick: bool) -> tuple[str, float]:
             shutil.rmtree(folder)
             first = first or used.seconds
             took = f"{used.seconds:.1f} s", f"{used.seconds / first:.1f}×"
-            rows.append((what, size, *took, f"{used.megabytes:,.0f} MB"))
-            if what == "seeds of RIL" and size == "10":
-                of_ten = used.megabytes
+            rows.append((name, size, *took, f"{used.megabytes:,.0f} MB"))
+            if name == "seeds of RIL" and size == "10":
+                ten_seeds = used.megabytes
     head = "MountainCar", "how many", "processor time, start-up included", "", "peak memory"
-    return table(head, rows), of_ten
+    return table(head, rows), ten_seeds

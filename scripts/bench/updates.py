@@ -1,4 +1,4 @@
-"""(a) What an update of one network costs, alone, in a batch, compiled."""
+"""(a) The cost of one network's update: alone, in a batch of seeds, and compiled."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SEEDS = (1, 10, 70)
 
 
 def one_eager_model() -> Callable[[], None]:
-    """An update as it is usually written: a module, its target, torch's Adam."""
+    """Return a usual update of Q-learning: one module, its target network, torch's Adam."""
 
     def module() -> nn.Module:
         return nn.Sequential(
@@ -40,9 +40,9 @@ def one_eager_model() -> Callable[[], None]:
         at = torch.randint(STORED, (BATCH,))
         with torch.no_grad():
             best = target(following[at]).amax(dim=1)
-            aims = rewards[at] + DISCOUNT * (1 - ends[at]) * best
+            targets = rewards[at] + DISCOUNT * (1 - ends[at]) * best
         values = policy(states[at]).gather(1, actions[at, None]).squeeze(1)
-        loss = functional.smooth_l1_loss(values, aims)
+        loss = functional.smooth_l1_loss(values, targets)
         adam.zero_grad()
         loss.backward()
         nn.utils.clip_grad_value_(policy.parameters(), 1.0)
@@ -52,7 +52,7 @@ def one_eager_model() -> Callable[[], None]:
 
 
 def batched(seeds: int, *, fused: bool) -> Callable[[], None]:
-    """The same update of so many networks by ril."""
+    """Return ril's same update of several networks together."""
     network = MLP(2, (HIDDEN, HIDDEN), 3, attention=False)
     policy = Network.initialise(network, range(seeds), "policy", CPU)
     memory = Replay(seeds, STORED, 2, CPU)
@@ -66,18 +66,18 @@ def batched(seeds: int, *, fused: bool) -> Callable[[], None]:
 
 
 def floor(seeds: int) -> float:
-    """Seconds that its multiplications would take at the rate of large ones."""
+    """Return the seconds of the update's multiplications at the rate of large matrices."""
     size, times = 256, 20
     a, b = torch.randn(2, size, size)
     rate = 2 * size**3 / seconds(lambda: a @ b, times)
     first, hidden, last = 2 * HIDDEN, HIDDEN * HIDDEN, HIDDEN * 3
     forward = first + hidden + last
-    backward = forward + hidden + last  # of weights; of inputs, but the first layer's
+    backward = forward + hidden + last  # of weights, and of inputs of all layers but the first
     return seeds * 2 * BATCH * (2 * forward + backward) / rate
 
 
 def measured(rounds: int) -> tuple[str, float]:
-    """The table, and how many times as fast ten compiled seeds are as one eager model each."""
+    """Measure (a); return its table, and the speed-up of ten compiled seeds over modules."""
     alone = one_eager_model()
     works = {("eager", s): batched(s, fused=False) for s in SEEDS}
     works |= {("compiled", s): batched(s, fused=True) for s in SEEDS}
@@ -94,7 +94,7 @@ def measured(rounds: int) -> tuple[str, float]:
     for how, name in (
         ("eager", "ril, `compile=false`"),
         ("compiled", "ril, `compile=true`"),
-        ("floor", "its multiplications alone, at the rate of large ones"),
+        ("floor", "its multiplications alone, at the rate of large matrices"),
     ):
         for s in SEEDS:
             each = took[f"{how} {s}"] / s

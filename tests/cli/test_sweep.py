@@ -1,4 +1,4 @@
-"""What a sweep runs, and what it says of that."""
+"""Which cells a sweep runs, and what it prints about them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from ril.cli import sweep_progress
 from ril.cli.configuration import from_hydra
-from ril.cli.run import _for_each_cell
 from ril.cli.sweep import Cell, expand, plan
 from ril.cli.sweep_progress import SweepProgress
 from ril.io.errors import UserError
@@ -32,23 +31,21 @@ RANDOM = ("env=cartpole", "method=random", "seeds=1", "evaluation.episodes=2")
 
 
 def cell_sweeper() -> Any:
-    """ril's sweeper, as Hydra has it: it loads plugins anew when it first looks for them."""
+    """ril's sweeper in the module that Hydra has loaded."""
     Plugins.instance()
     return sys.modules["hydra_plugins.ril_sweeper"].CellSweeper(None)
 
 
 def expanded(sweeps: list[dict[str, str]] | None, *arguments: str) -> list[list[str]]:
-    """The cells of sweeps, by what sets them apart."""
-    lines = expand(sweeps, arguments, OverridesParser.create())
-    sweeper = cell_sweeper()
-    return [cell for line in lines for cell in sweeper.split_arguments(line, None)[0]]
+    """The overrides of each cell."""
+    return expand(sweeps, arguments, OverridesParser.create())
 
 
 def test_a_sweep_has_every_combination() -> None:
     assert expanded(None, "a=1,2", "b=x") == [["a=1", "b=x"], ["a=2", "b=x"]]
 
 
-def test_several_sweeps_are_taken_together() -> None:
+def test_several_sweeps_are_one_list_of_cells() -> None:
     cells = expanded([{"a": "1,2"}, {"b": "3", "c": "x,y"}], "d=0")
     assert cells == [
         *[["d=0", "a=1"], ["d=0", "a=2"]],
@@ -60,13 +57,13 @@ def test_the_command_line_narrows_a_sweep() -> None:
     assert expanded([{"a": "1,2,3"}], "a=3.0,1") == [["a=1"], ["a=3"]]
 
 
-def test_a_sweep_without_what_the_command_line_gives_is_left_out() -> None:
+def test_a_sweep_without_a_value_of_the_command_line_is_skipped() -> None:
     sweeps = [{"env": "x", "level": "null,4"}, {"env": "y", "level": "null,-1"}]
     assert expanded(sweeps, "env=y") == [["env=y", "level=null"], ["env=y", "level=-1"]]
     assert expanded(sweeps, "level=4") == [["env=x", "level=4"]]
 
 
-def test_a_command_line_that_leaves_nothing_is_refused() -> None:
+def test_a_command_line_that_skips_every_sweep_is_refused() -> None:
     with pytest.raises(UserError, match=r"^a=4: the sweep has only a=1,2$"):
         expanded([{"a": "1,2"}], "a=4")
 
@@ -81,13 +78,13 @@ def planned(jobs: list[list[str]], *overrides: str) -> list[Cell]:
     return plan(jobs, with_hydra, OmegaConf.create({"hydra": hydra}))
 
 
-def test_a_cell_that_is_asked_for_twice_is_run_once(tmp_path: Path) -> None:
+def test_a_cell_that_is_given_twice_runs_once(tmp_path: Path) -> None:
     jobs = [["ablation.k=1"], ["ablation.k=2"], ["ablation.k=2.0"]]
     assert len(planned(jobs, f"output_dir={tmp_path}")) == 2
     assert len(planned(jobs, f"output_dir={tmp_path}", "method=bc")) == 1
 
 
-def test_a_cell_that_cannot_be_run_does_not_stop_the_others(tmp_path: Path) -> None:
+def test_a_refused_cell_does_not_stop_the_others(tmp_path: Path) -> None:
     cells = planned([["ablation.k=0"], ["ablation.k=1"]], f"output_dir={tmp_path}")
     assert [cell.mistake for cell in cells] == [
         "ablation.k=0.0: must be a finite number above 0",
@@ -95,31 +92,12 @@ def test_a_cell_that_cannot_be_run_does_not_stop_the_others(tmp_path: Path) -> N
     ]
 
 
-def test_cells_none_of_which_can_be_run_are_refused() -> None:
+def test_a_sweep_of_refused_cells_only_is_refused() -> None:
     with pytest.raises(UserError, match=r"^ablation\.k=0\.0: must be .* above 0$"):
         planned([["ablation.k=0"], ["ablation.k=0", "seeds=1"]])
 
 
-@pytest.mark.parametrize(
-    ("given", "becomes"),
-    [
-        ("method.epochs=3", "method.epochs=choice(3)"),
-        ("method.network.hidden=[8,8]", "method.network.hidden=choice([8,8])"),
-        ("+method.x=1", "+method.x=choice(1)"),
-        ("method.epochs=3,4", "method.epochs=3,4"),
-        ("method.epochs=range(1,3)", "method.epochs=range(1,3)"),
-        ("method=ril", "method=ril"),
-        ("seeds=[1]", "seeds=[1]"),
-        ("method.epochs=", "method.epochs="),
-        ("method.epochs=[1", "method.epochs=[1"),
-        ("-m", "-m"),
-    ],
-)
-def test_a_methods_key_is_left_to_the_cells(given: str, becomes: str) -> None:
-    assert _for_each_cell(given) == becomes
-
-
-def test_a_sweep_over_methods_may_set_keys_that_ril_has_not(here: Here, tmp_path: Path) -> None:
+def test_a_sweep_over_methods_may_set_keys_that_ril_lacks(here: Here, tmp_path: Path) -> None:
     command = (*BASIC, *CARTPOLE, *QUICK_RUN[:-1], *QUICK_METHODS["dqn"], "processes=1")
     ended = here(*command, "method=dqn,dqn_prioritized")
     assert (ended.status, ended.errors) == (0, "")
@@ -138,18 +116,21 @@ def mixed(here: Here) -> Ended:
 
 def test_a_failed_cell_is_reported_with_its_command(mixed: Ended, tmp_path: Path) -> None:
     assert mixed.status == 1
-    command = "ril-run env=cartpole method=random evaluation.episodes=2 demonstrations=none.npz"
     [*_, last] = mixed.errors.splitlines()
     assert last == "ril-run: 2 of 4 cells without rows"
-    said = [line for line in mixed.errors.splitlines() if line.startswith("ril-run: failed: ")]
-    assert len(said) == 2
-    assert all("demonstrations=none.npz" in line for line in said), command
+    failed = [line for line in mixed.errors.splitlines() if line.startswith("ril-run: failed: ")]
+    assert failed == [
+        f"ril-run: failed: ril-run {' '.join(RANDOM)} demonstrations=none.npz seeds={seeds}"
+        for seeds in (1, 2)
+    ]
     assert mixed.errors.count("demonstrations=none.npz: no such file or folder") == 2
     assert len(list(tmp_path.rglob("results.csv"))) == 2
 
 
-def test_a_sweep_says_what_it_is_to_run(mixed: Ended) -> None:
-    assert mixed.output.startswith("sweep: 4 cells, 0 done before, 2 cannot be run, 2 to run, for ")
+def test_a_sweep_says_what_it_will_run(mixed: Ended) -> None:
+    assert mixed.output.startswith(
+        "sweep: 4 cells, 0 already finished, 2 cannot be run, 2 to run, time unknown "
+    )
 
 
 def test_a_finished_sweep_runs_nothing_again(here: Here) -> None:
@@ -157,15 +138,17 @@ def test_a_finished_sweep_runs_nothing_again(here: Here) -> None:
     assert here(*command).status == 0
     again = here(*command)
     assert again.status == 0
-    assert again.output.startswith("sweep: 2 cells, 2 done before\nsweep: 2 of 2 cells done\n")
+    assert again.output.startswith(
+        "sweep: 2 cells, 2 already finished\nsweep: 2 of 2 cells finished\n"
+    )
 
 
-def test_without_resume_a_sweep_is_run_anew_beside(here: Here, tmp_path: Path) -> None:
+def test_without_resume_a_sweep_runs_again_in_new_folders(here: Here, tmp_path: Path) -> None:
     command = (*BASIC, *RANDOM, "ablation.expert_return=null,400", "resume=false")
     for _ in range(2):
         ended = here(*command)
         assert "2 to run" in ended.output
-        assert "2 of 2 cells done" in ended.output
+        assert "2 of 2 cells finished" in ended.output
     assert len(list(tmp_path.rglob("results.csv"))) == 4
 
 
@@ -176,7 +159,7 @@ def test_a_cells_rows_name_its_own_command(here: Here, tmp_path: Path) -> None:
         assert f'"ril-run {" ".join(RANDOM)} ablation.expert_return={level}"' in said
 
 
-def test_joblibs_workers_know_a_folder_of_ones_own(
+def test_workers_find_the_users_own_configuration(
     here: Here, tmp_path: Path, demonstration_files: dict[str, Path]
 ) -> None:
     own = tmp_path / "own"
@@ -184,7 +167,6 @@ def test_joblibs_workers_know_a_folder_of_ones_own(
         "env/short.yaml": "name: short\nid: CartPole-v1\nkwargs: {max_episode_steps: 20}\n"
         "goal: {minimum_return: 11}\nobservation_low: [-2, -3, -1, -3]\n"
         "observation_high: [2, 3, 1, 3]\n",
-        "env_method/short_ril.yaml": "# @package _global_\ndefaults: [cartpole_ril, _self_]\n",
         "experiment/slopes.yaml": "# @package _global_\nablation: {n: 5}\nhydra:\n  sweeper:\n"
         "    sweeps:\n      - env: short\n        ablation.k: 1,2\n",
     }.items():
@@ -202,7 +184,7 @@ def test_joblibs_workers_know_a_folder_of_ones_own(
 
 
 def cells(folder: Path, count: int) -> list[Cell]:
-    """Cells of a sweep that nothing was run of."""
+    """Cells of a sweep, none of which has run."""
     configs = [from_hydra(composed("method=random", f"seeds={n + 1}")) for n in range(count)]
     return [
         Cell([f"seeds={n + 1}"], f"ril-run seeds={n + 1}", config, folder / str(n))
@@ -215,7 +197,7 @@ def finish(cell: Cell, aer: float = 1.0) -> None:
     (cell.folder / "results.csv").write_text(f"aer\n{aer}\n")
 
 
-def test_a_sweep_says_when_a_cell_has_ended(
+def test_a_sweep_says_when_a_cell_has_finished(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sweep_progress, "_WATCH_SECONDS", 0.01)
@@ -223,7 +205,7 @@ def test_a_sweep_says_when_a_cell_has_ended(
     progress = SweepProgress([first, second], OmegaConf.create(), tmp_path)
     said = capsys.readouterr().out
     assert said == (
-        "sweep: 2 cells, 0 done before, 2 to run, for how long is unknown until the first is done\n"
+        "sweep: 2 cells, 0 already finished, 2 to run, time unknown until the first cell is finished\n"
     )
     with progress.watched():
         finish(first)
@@ -231,10 +213,10 @@ def test_a_sweep_says_when_a_cell_has_ended(
             if said := capsys.readouterr().out:
                 break
             time.sleep(0.01)
-    assert said == "sweep: 1 of 2 cells done, about 0 s left\n"
+    assert said == "sweep: 1 of 2 cells finished, about 0 s left\n"
 
 
-def test_what_a_cell_will_take_is_what_such_cells_took_by_their_budget() -> None:
+def test_the_time_of_a_cell_follows_from_finished_ones_by_its_budget() -> None:
     rows = pd.DataFrame(
         {
             "env": ["mountaincar", "mountaincar", "cartpole"],
@@ -249,7 +231,7 @@ def test_what_a_cell_will_take_is_what_such_cells_took_by_their_budget() -> None
     assert np.isnan(sweep_progress._expected(other, rows))
 
 
-def test_a_stopped_sweep_says_how_far_it_is(
+def test_a_stopped_sweep_says_how_many_cells_are_finished(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, second = cells(tmp_path, 2)
@@ -259,12 +241,12 @@ def test_a_stopped_sweep_says_how_far_it_is(
         signal.raise_signal(signal.SIGTERM)
     assert end.value.code == 128 + signal.SIGTERM
     assert capsys.readouterr().err == (
-        "ril-run: stopped with 1 of 2 cells done; the same command goes on\n"
+        "ril-run: stopped with 1 of 2 cells finished; give the same command again to resume\n"
     )
 
 
 class Launcher:
-    """Runs one cell, and loses a worker with the next."""
+    """Finish one cell, and raise an error at the next."""
 
     def __init__(self, by_key: dict[str, Cell], error: Exception) -> None:
         self.by_key, self.error = by_key, error
@@ -279,7 +261,7 @@ class Launcher:
 
 
 def launched(folder: Path, error: Exception) -> tuple[list[list[str]], SweepProgress]:
-    """What a launcher was given that has such an error, and how far the sweep is."""
+    """The jobs of each call of a launcher that raises an error, and the sweep's progress."""
     both = cells(folder, 2)
     sweeper, progress = cell_sweeper(), SweepProgress(both, OmegaConf.create(), folder)
     launcher = Launcher({cell.overrides[0]: cell for cell in both}, error)
@@ -289,42 +271,42 @@ def launched(folder: Path, error: Exception) -> tuple[list[list[str]], SweepProg
 
 
 def test_a_killed_worker_does_not_end_a_sweep(tmp_path: Path) -> None:
-    given, progress = launched(tmp_path, TerminatedWorkerError("killed"))
-    assert given == [["seeds=1", "seeds=2"], ["seeds=2"]]
+    jobs, progress = launched(tmp_path, TerminatedWorkerError("killed"))
+    assert jobs == [["seeds=1", "seeds=2"], ["seeds=2"]]
     progress.report()  # does not exit
 
 
 def test_a_launcher_that_fails_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given, progress = launched(tmp_path, RuntimeError("no such\npartition"))
-    assert given == [["seeds=1", "seeds=2"]]
+    jobs, progress = launched(tmp_path, RuntimeError("no such\npartition"))
+    assert jobs == [["seeds=1", "seeds=2"]]
     with pytest.raises(SystemExit):
         progress.report()
     assert capsys.readouterr().err == (
         "ril-run: failed: ril-run seeds=2\n"
-        "  did not end: no such partition; the same command goes on\n"
+        "  did not finish: no such partition; give the same command again to resume\n"
     )
 
 
-def test_a_cell_that_was_launched_in_vain_is_reported(
+def test_a_cell_without_rows_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     progress = SweepProgress(cells(tmp_path, 1), OmegaConf.create(), tmp_path)
     with pytest.raises(SystemExit, match=r"^ril-run: 1 of 1 cell without rows$"):
         progress.report()
     assert capsys.readouterr().err == (
-        "ril-run: not done: ril-run seeds=1\n"
-        "  left no rows, and its launcher did not say why; the same command goes on\n"
+        "ril-run: not finished: ril-run seeds=1\n"
+        "  wrote no rows, and the launcher gave no reason; give the same command again to resume\n"
     )
 
 
-def test_torn_rows_are_not_taken_for_a_finished_cell(here: Here, tmp_path: Path) -> None:
+def test_a_cell_with_torn_rows_is_not_finished(here: Here, tmp_path: Path) -> None:
     command = (*BASIC, *RANDOM, "ablation.expert_return=null,400")
     assert here(*command).status == 0
     torn, _ = sorted(tmp_path.rglob("results.csv"))
     torn.write_text(torn.read_text()[:-5])
     ended = here(*command)
     assert ended.status == 1
-    assert ended.output.startswith("sweep: 2 cells, 1 done before, 1 cannot be run\n")
+    assert ended.output.startswith("sweep: 2 cells, 1 already finished, 1 cannot be run\n")
     assert f"{torn.relative_to(tmp_path)}: line 2: is incomplete: " in ended.errors

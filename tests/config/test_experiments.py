@@ -75,7 +75,7 @@ def test_every_experiment_is_tested() -> None:
     assert files == {*EXPERIMENTS, "components", "quick"}
 
 
-@pytest.mark.parametrize("env", ENVS)
+@pytest.mark.parametrize("env", ["mountaincar", "cartpole"])
 def test_each_component_is_left_out_in_a_run_of_its_own(env: str) -> None:
     found = cells("experiment=components")
     configs = [from_hydra(composed(f"env={env}", "experiment=components", *cell)) for cell in found]
@@ -84,25 +84,25 @@ def test_each_component_is_left_out_in_a_run_of_its_own(env: str) -> None:
     assert len({run_id(config, "") for config in configs}) == len(found) == 16
 
 
-USUAL = {"method": "ril", "trajectories": "1", "k": "2", "n": "150", "expert_return": "null"}
+DEFAULT = {"method": "ril", "trajectories": "1", "k": "2", "n": "150", "expert_return": "null"}
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_an_experiment_fills_its_table(name: str) -> None:
-    filled = [
-        USUAL | dict(each.removeprefix("ablation.").split("=") for each in cell)
+def test_an_experiment_covers_its_table(name: str) -> None:
+    covered = [
+        DEFAULT | dict(each.removeprefix("ablation.").split("=") for each in cell)
         for cell in cells(f"experiment={name}")
     ]
     for cell in table(name).cells():
-        wanted = cell.setting
-        if wanted.env == "average" or wanted.method == "π*":
+        setting = cell.setting
+        if setting.env == "average" or setting.method == "π*":
             continue
-        level = "null" if wanted.expert_return is None else f"{wanted.expert_return:g}"
-        at = {"env": wanted.env, "method": wanted.method_key, "expert_return": level}
-        at |= {"k": f"{wanted.k:g}", "n": f"{wanted.n:g}"}
-        if wanted.method_key not in BY_REWARDS:
-            at["trajectories"] = str(wanted.trajectories)
-        assert any(at.items() <= each.items() for each in filled), at
+        level = "null" if setting.expert_return is None else f"{setting.expert_return:g}"
+        at = {"env": setting.env, "method": setting.method_key, "expert_return": level}
+        at |= {"k": f"{setting.k:g}", "n": f"{setting.n:g}"}
+        if setting.method_key not in BY_REWARDS:
+            at["trajectories"] = str(setting.trajectories)
+        assert any(at.items() <= each.items() for each in covered), at
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def first_and_last(choice: str) -> list[tuple[str, ...]]:
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_a_cell_of_an_experiment_is_the_run_of_the_same_single_command(name: str) -> None:
+def test_a_cell_of_an_experiment_is_the_same_run_as_alone(name: str) -> None:
     for cell in first_and_last(f"experiment={name}"):
         inside, alone = (
             run_id(from_hydra(composed(*more, *cell)), "0") for more in ([f"experiment={name}"], [])
@@ -153,11 +153,11 @@ def test_tables_share_the_runs_of_their_common_cells() -> None:
 
 
 @pytest.mark.parametrize("cell", LEVELS)
-def test_every_level_of_an_expert_ships(cell: tuple[str, ...]) -> None:
+def test_demonstrations_of_every_expert_level_are_shipped(cell: tuple[str, ...]) -> None:
     assert demonstrations_path(from_hydra(composed(*cell))).is_file()
 
 
-def test_a_cell_of_an_experiment_is_run_without_m(
+def test_a_single_cell_of_an_experiment_needs_no_m(
     here: Callable[..., Ended], tmp_path: Path
 ) -> None:
     more = ("ablation.k=3", "method=random", "seeds=1", "evaluation.episodes=2")

@@ -38,7 +38,7 @@ def test_the_minari_example_is_read(
     pytest.importorskip("PIL")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # minari misses an author and more
+        warnings.simplefilter("ignore")  # minari warns of missing metadata
         exec(MINARI, {})
     found = load_demonstrations(tmp_path / "car" / "expert-v0", mountaincar)
     played = follow_rule(mountaincar, seeds=(0, 1, 2))

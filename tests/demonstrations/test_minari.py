@@ -1,4 +1,4 @@
-"""Demonstrations in folders that Minari wrote."""
+"""Demonstrations in folders written by Minari."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
             for each in played
         ]
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it misses an author and more
+            warnings.simplefilter("ignore")  # minari warns of missing metadata
             minari.create_dataset_from_buffers(
                 "car/random-v0", buffers, env="MountainCar-v0", **spaces
             )
@@ -132,35 +132,21 @@ def test_the_hash_depends_on(dataset: Path, mountaincar: Environment, change: st
 
 
 @pytest.mark.parametrize(
-    ("spaces", "says"),
+    ("kind", "space"),
     [
-        (
-            {"observation_space": Box(-1, 1, (3,))},
-            "observations are Box(-1.0, 1.0, (3,), float32), ",
-        ),
-        (
-            {"observation_space": Box(-1, 1, (1, 2))},
-            "observations are Box(-1.0, 1.0, (1, 2), float32)",
-        ),
-        (
-            {"observation_space": Discrete(5)},
-            "observations are Discrete(5), MountainCar-v0 has a Box",
-        ),
-        ({"action_space": Discrete(5)}, "actions are Discrete(5), MountainCar-v0 has Discrete(3)"),
-        (
-            {"action_space": Discrete(3, start=1)},
-            "actions are Discrete(3, start=1), MountainCar-v0 has",
-        ),
-        (
-            {"action_space": Box(-1, 1, (1,))},
-            "actions are Box(-1.0, 1.0, (1,), float32), MountainCar",
-        ),
+        ("observation", Box(-1, 1, (3,))),
+        ("observation", Box(-1, 1, (1, 2))),
+        ("observation", Discrete(5)),
+        ("action", Discrete(5)),
+        ("action", Discrete(3, start=1)),
+        ("action", Box(-1, 1, (1,))),
     ],
 )
 def test_other_spaces_are_named(
-    make: Make, mountaincar: Environment, spaces: dict[str, gym.Space], says: str
+    make: Make, mountaincar: Environment, kind: str, space: gym.Space
 ) -> None:
-    assert refusal(make(random_episodes([2]), **spaces), mountaincar).startswith(says)
+    says = refusal(make(random_episodes([2]), **{f"{kind}_space": space}), mountaincar)
+    assert says.startswith(f"{kind}s are {space}, MountainCar-v0 has ")
 
 
 @pytest.mark.parametrize(
@@ -169,9 +155,9 @@ def test_other_spaces_are_named(
         ("observations", np.zeros((1, 2)), "trajectory 2 of 2 has 1 observations for 1 actions"),
         ("actions", np.array([3]), "actions lie in "),
         ("actions", np.array([0.5]), "actions must hold whole numbers"),
-        ("actions", [[0, 0]], "minari cannot read it (ValueError: all the input arrays must"),
+        ("actions", [[0, 0]], "minari cannot read it (ValueError: "),
         ("rewards", np.array([np.nan]), "rewards holds NaN or infinity"),
-        ("rewards", np.zeros(2), "rewards has 4 entries, its lengths say 3"),
+        ("rewards", np.zeros(2), "rewards has 4 entries, its lengths require 3"),
         ("observations", np.ones((2, 2)), "observations[:, 0] lie in"),
     ],
 )
@@ -213,7 +199,7 @@ def test_nothing_is_unpickled(dataset: Path, mountaincar: Environment, tmp_path:
 
 
 def without_spaces(dataset: Path, leaves: Path) -> Path:
-    """A dataset whose metadata name a function that leaves a file, in an environment's place."""
+    """A dataset whose metadata name a function that writes a file instead of an environment."""
     path = dataset / "data" / "metadata.json"
     metadata = json.loads(path.read_text())
     del metadata["observation_space"]

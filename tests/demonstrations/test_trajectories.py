@@ -30,7 +30,7 @@ def demonstrations() -> Demonstrations:
 # --- the first n -------------------------------------------------------------------------------
 
 
-def test_first_takes_whole_trajectories(demonstrations: Demonstrations) -> None:
+def test_first_returns_whole_trajectories(demonstrations: Demonstrations) -> None:
     first = demonstrations.first(1)
     np.testing.assert_array_equal(first.observations, demonstrations.observations[:3])
     assert first.actions.tolist() == [2, 1]
@@ -44,7 +44,9 @@ def test_first_of_all_is_all(demonstrations: Demonstrations) -> None:
 
 
 @pytest.mark.parametrize("trajectories", [-1, 0, 3])
-def test_first_refuses_what_there_is_not(demonstrations: Demonstrations, trajectories: int) -> None:
+def test_first_refuses_a_number_out_of_range(
+    demonstrations: Demonstrations, trajectories: int
+) -> None:
     with pytest.raises(UserError, match=rf"ablation\.trajectories={trajectories}: .* 1\.\.2"):
         demonstrations.first(trajectories)
 
@@ -98,7 +100,7 @@ def reachable_arrays(thing: Any) -> Iterator[np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["cartpole", "acrobot", "mountaincar", "lunarlander"])
-def test_no_way_leads_from_the_states_to_the_actions(
+def test_actions_cannot_be_reached_from_the_states(
     environments: dict[str, Environment], name: str
 ) -> None:
     demonstrations = load_demonstrations(shipped_path(name), environments[name]).first(2)
@@ -111,7 +113,7 @@ def test_no_way_leads_from_the_states_to_the_actions(
         assert not (array == actions[:, None]).all(axis=0).any()
 
 
-def test_a_way_to_the_actions_would_be_found(demonstrations: Demonstrations) -> None:
+def test_reachable_actions_would_be_found(demonstrations: Demonstrations) -> None:
     borrowing = demonstrations.actions[:1]
     for leaky in (demonstrations, {"hidden": [borrowing]}):
         assert any(array is demonstrations.actions for array in reachable_arrays(leaky))

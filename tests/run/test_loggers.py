@@ -1,3 +1,5 @@
+"""Loggers of a run's curve: what they get, and when."""
+
 from __future__ import annotations
 
 import re
@@ -22,38 +24,38 @@ PAGE = Path(__file__).parents[2] / "docs" / "logging.md"
 
 
 class Kept:
-    """A logger that keeps what it is given."""
+    """A logger that keeps the points of each call."""
 
     def __init__(self) -> None:
         self.started: list[Path] = []
-        self.looks: list[list[CurvePoint]] = []
+        self.logged: list[list[CurvePoint]] = []
 
     def start(self, config: Config, folder: Path) -> None:
         self.started.append(folder)
 
     def log(self, points: Sequence[CurvePoint]) -> None:
-        self.looks.append(list(points))
+        self.logged.append(list(points))
 
     def finish(self) -> None: ...
 
 
-def test_a_logger_is_given_the_curve(quick: Any, tmp_path: Path, silence: Silence) -> None:
+def test_a_logger_gets_the_curve(quick: Any, tmp_path: Path, silence: Silence) -> None:
     config, kept = quick(), Kept()
     config.output_dir = str(tmp_path)
     folder = run(config, LoggedDisplay(silence, kept))
     curve = pd.read_csv(folder / "curve.csv")
-    given = [(p.seed, p.epoch, p.samples, p.aer) for look in kept.looks for p in look]
+    given = [(p.seed, p.epoch, p.samples, p.aer) for points in kept.logged for p in points]
     assert given == [*curve[["seed", "epoch", "samples", "aer"]].itertuples(index=False, name=None)]
     assert kept.started == [folder]
 
 
-def test_a_logger_is_given_points_in_the_epoch_they_are_of(
+def test_a_logger_gets_the_points_of_one_epoch_at_a_time(
     quick: Any, tmp_path: Path, silence: Silence
 ) -> None:
     config, kept = quick("evaluation.every=1"), Kept()
     config.output_dir = str(tmp_path)
     run(config, LoggedDisplay(silence, kept))
-    assert [{point.epoch for point in look} for look in kept.looks] == [{1}, {2}, {3}]
+    assert [{point.epoch for point in points} for points in kept.logged] == [{1}, {2}, {3}]
 
 
 def test_a_finished_cell_is_not_logged(quick: Any, tmp_path: Path, silence: Silence) -> None:
@@ -61,14 +63,14 @@ def test_a_finished_cell_is_not_logged(quick: Any, tmp_path: Path, silence: Sile
     config.output_dir = str(tmp_path)
     run(config, silence)
     run(config, LoggedDisplay(silence, kept))
-    assert (kept.started, kept.looks) == ([], [])
+    assert (kept.started, kept.logged) == ([], [])
 
 
 def point(seed: int, epoch: int, **metrics: float) -> CurvePoint:
     return CurvePoint(seed, epoch, samples=100 * epoch + seed, aer=float(epoch), metrics=metrics)
 
 
-def test_a_run_that_goes_on_logs_only_what_its_checkpoint_does_not_have(silence: Silence) -> None:
+def test_a_resumed_run_logs_only_points_that_its_checkpoint_lacks(silence: Silence) -> None:
     kept = Kept()
     display = LoggedDisplay(silence, kept)
     record: Any = SimpleNamespace(curve=[point(0, 1), point(0, 2)])
@@ -77,11 +79,11 @@ def test_a_run_that_goes_on_logs_only_what_its_checkpoint_does_not_have(silence:
         if epoch > 3:
             record.curve.append(point(0, epoch))
         display.advanced(Progress(epoch, none, none, 0, none.astype(bool)), record)
-    assert kept.looks == [[point(0, 4)], [point(0, 5)]]
+    assert kept.logged == [[point(0, 4)], [point(0, 5)]]
 
 
 class Writer:
-    """What TensorBoard's writer is given, by folder."""
+    """A stand-in for TensorBoard's writer; `made` has one by folder."""
 
     made: dict[str, Writer]
 
@@ -99,7 +101,7 @@ class Writer:
 
 @pytest.fixture
 def tensorboard(monkeypatch: pytest.MonkeyPatch) -> dict[str, Writer]:
-    """TensorBoard's writers by run, of a stand-in for its package."""
+    """The writers of a stand-in for TensorBoard, by run."""
     module = ModuleType("torch.utils.tensorboard")
     monkeypatch.setattr(Writer, "made", {}, raising=False)
     module.SummaryWriter = Writer  # type: ignore[attr-defined]
@@ -131,7 +133,7 @@ def test_tensorboards_mean_ends_with_the_first_seed_that_stops(
     assert {step for *_, step in tensorboard["seed_5"].scalars} == {105, 205}
 
 
-def test_tensorboard_purges_what_is_written_again(
+def test_tensorboard_purges_points_that_are_written_again(
     quick: Any, tensorboard: dict[str, Writer], tmp_path: Path
 ) -> None:
     board = TensorBoard()
@@ -148,7 +150,7 @@ def test_tensorboards_files_have_each_point_once(quick: Any, tmp_path: Path) -> 
     accumulator = pytest.importorskip(
         "tensorboard.backend.event_processing.event_accumulator", exc_type=ImportError
     )
-    for epochs in ((1, 2, 3), (2, 3, 4)):  # a run that was killed, and went on from epoch 1
+    for epochs in ((1, 2, 3), (2, 3, 4)):  # a run that was killed, and resumed after epoch 1
         board = TensorBoard()
         board.start(quick("seeds=[3]"), tmp_path)
         for epoch in epochs:
@@ -169,7 +171,7 @@ def test_a_missing_package_is_one_line(
     assert not (tmp_path / "outputs").exists()
 
 
-def test_a_logger_of_ones_own_is_used_as_the_page_says(
+def test_a_logger_of_the_user_works_as_documented(
     here: Callable[..., Ended],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,

@@ -1,3 +1,5 @@
+"""Where a run's numbers come from."""
+
 from __future__ import annotations
 
 import shlex
@@ -9,7 +11,7 @@ import pytest
 from ril.run import provenance
 
 
-def test_a_command_can_be_given_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_is_quoted_for_a_shell(monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = ["-m", "seeds=[0],[1]", "demonstrations=my file.npz"]
     monkeypatch.setattr(sys, "argv", ["/usr/bin/ril-run", *arguments])
     assert shlex.split(provenance.command()) == ["ril-run", *arguments]
@@ -17,8 +19,8 @@ def test_a_command_can_be_given_again(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Code of which a digest is taken."""
-    for name in ("training.py", "methods/ril.py", "display.py", "report/cli.py"):
+    """A package of four files, in place of ril's own."""
+    for name in ("task.py", "methods/ril.py", "cli/display.py", "report/page.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("1\n")
     monkeypatch.setattr(provenance, "_PACKAGE", tmp_path)
@@ -28,13 +30,13 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("name", "counts"),
     [
-        ("training.py", True),
+        ("task.py", True),
         ("methods/ril.py", True),
-        ("display.py", False),
-        ("report/a.py", False),
+        ("cli/display.py", False),
+        ("report/page.py", False),
     ],
 )
-def test_an_origin_knows_the_code_that_numbers_come_from(
+def test_an_origin_changes_with_the_code_that_can_change_numbers(
     package: Path, name: str, counts: bool
 ) -> None:
     before = provenance.origin("0")["code"]
@@ -42,7 +44,7 @@ def test_an_origin_knows_the_code_that_numbers_come_from(
     assert (provenance.origin("0")["code"] != before) is counts
 
 
-def test_an_origin_knows_the_names_of_its_files(package: Path) -> None:
+def test_an_origin_changes_with_the_names_of_files(package: Path) -> None:
     before = provenance.origin("0")["code"]
-    (package / "training.py").rename(package / "trained.py")
+    (package / "task.py").rename(package / "tasks.py")
     assert provenance.origin("0")["code"] != before
