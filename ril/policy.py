@@ -15,7 +15,7 @@ from torch import Tensor
 from ril.environments import Environment, Floats
 from ril.io.errors import UserError
 from ril.io.files import tensor_bytes, write_atomically
-from ril.learners.latent_policy import ActionRemapping, LatentDynamics, LatentPolicy
+from ril.vectorized.latent_networks import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 
 _ARCHITECTURES: dict[str, type[Architecture]] = {

@@ -1,1 +1,1 @@
-"""The parts that the methods are made of."""
+"""The parts that the methods are made of: what is trained, how it explores, when it stops."""

@@ -1,4 +1,4 @@
-"""How much better an action was than the policy's average one, from a piece of a rollout."""
+"""Generalized advantage estimation (Schulman et al., 2016)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ril.environments import Floats
 
 
-def generalised_advantages(
+def generalized_advantages(
     rewards: Floats,
     values: Floats,
     next_values: Floats,
@@ -17,28 +17,28 @@ def generalised_advantages(
     gamma: float,
     gae_lambda: float,
 ) -> Floats:
-    """Advantages of T steps in N environments (Schulman et al., 2016, eq. 16).
+    """Estimate the advantages of T steps in N environments (Schulman et al., 2016, eq. 16).
 
-    With λ = 1, advantages plus values are n-step returns: all rewards up to the end of the
-    rollout, and the value of the state that it ended in.
+    With λ = 1, advantages plus values are n-step returns: the rewards up to the end of the
+    rollout, and the value of the rollout's last state.
 
     Args:
         rewards: (T, N).
-        values: (T, N) of the states acted in.
-        next_values: (T, N) of those that followed; of an episode's end, its final state.
-        terminated: (T, N) whether the environment ended the episode: nothing follows.
-        truncated: (T, N) whether the step limit cut it: its final state's value follows.
+        values: (T, N) V(s_t).
+        next_values: (T, N) V(s_{t+1}), of the final state where an episode is over.
+        terminated: (T, N) whether the environment ended the episode, so that s_{t+1} is worth 0.
+        truncated: (T, N) whether the step limit truncated it, so that V(s_{t+1}) counts.
         gamma: γ, the discount.
         gae_lambda: λ.
 
     Returns:
         (T, N).
     """
-    errors = rewards + gamma * next_values * ~terminated - values  # δ of temporal differences
-    goes_on = gamma * gae_lambda * ~(terminated | truncated)
+    errors = rewards + gamma * next_values * ~terminated - values  # δ
+    decay = gamma * gae_lambda * ~(terminated | truncated)
     advantages = np.zeros_like(errors)
-    following = np.zeros_like(errors[0])
+    advantage = np.zeros_like(errors[0])
     for step in reversed(range(len(errors))):
-        following = errors[step] + goes_on[step] * following
-        advantages[step] = following
+        advantage = errors[step] + decay[step] * advantage
+        advantages[step] = advantage
     return advantages

@@ -1,19 +1,19 @@
-"""Behavioural cloning: the policy learns to take the labelled actions (§3.2)."""
+"""Behavioral cloning: the policy learns to choose the labeled actions (§3.2)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
-import torch
 from omegaconf import MISSING
 from torch import Tensor
 
-from ril.vectorized.descent import descent
+from ril.vectorized.descent import descent, train_on_minibatches
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, Parameters
 from ril.vectorized.replay import random_indices
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
@@ -28,55 +28,56 @@ class CloningConfig:
     gradient_clip: float | None = MISSING
 
 
-class Cloning:
-    """Cross-entropy of S policies on the expert's states T^e and the labels given for them.
+class Cloning(Stateful):
+    """Trains S policies by cross-entropy on the expert's states T^e and labels for them.
+
+    The policy is not part of its state, since the methods save it.
 
     Args:
-        policy: from obs features to |A| logits.
+        policy: π_φ, from obs features to |A| logits.
         config: `method.cloning`.
-        streams: from which minibatches are drawn.
-        fused: whether each step is one compiled graph; the same but for rounding.
+        streams: of the random numbers that draw minibatches.
+        compile_step: whether each step is one compiled graph, which differs in the last bits.
     """
 
+    STATE: ClassVar = ("_optimizer", "_streams")
+
     def __init__(
-        self, policy: Network, config: CloningConfig, streams: Streams, *, fused: bool = False
+        self,
+        policy: Network,
+        config: CloningConfig,
+        streams: Streams,
+        *,
+        compile_step: bool = False,
     ) -> None:
         self.policy = policy
         self.config = config
         self._streams = streams
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
-        self._descend = descent(self._optimizer, self._loss, fused=fused)
+        self._descend = descent(self._optimizer, self._loss, compile_step=compile_step)
 
     def train(self, observations: Tensor, labels: Tensor) -> Tensor:
-        """Algorithm 1, line 9: minibatch steps of cross-entropy on the expert's states.
+        """Take minibatch steps of cross-entropy on the expert's states (Algorithm 1, line 9).
 
         Args:
-            observations: (M, obs) states of the expert, the same for all seeds.
+            observations: T^e, (M, obs) states of the expert, the same for all seeds.
             labels: (S, M) actions.
 
         Returns:
-            (S,) mean loss over these steps.
+            (S,) mean loss over the steps.
         """
         updates, batch_size = self.config.updates, self.config.batch_size
         sizes = np.full(len(labels), len(observations))
         uniform = self._streams.uniform(updates, batch_size)
         indices = random_indices(uniform, sizes).to(labels.device)
-        total = torch.zeros(len(labels), device=labels.device)
-        for chosen in indices.unbind(dim=1):
+
+        def step(chosen: Tensor) -> Tensor:
             (losses,) = self._descend(observations[chosen], labels.gather(1, chosen))
-            total += losses.mean(dim=1)
-        return total / updates
+            return losses.mean(dim=1)
+
+        return train_on_minibatches(step, indices.unbind(dim=1))
 
     def _loss(self, parameters: Parameters, observations: Tensor, labels: Tensor) -> tuple[Tensor]:
-        """(S, B) cross-entropies at observations (S, B, obs) with labels (S, B)."""
+        """Compute (S, B) cross-entropies of observations (S, B, obs) with labels (S, B)."""
         logits = self.policy.architecture.forward(parameters, observations)
         return (cross_entropy(logits, labels),)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Optimiser and random streams; the policy belongs to the method."""
-        return {"optimizer": self._optimizer.state_dict(), "streams": self._streams.state_dict()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._streams.load_state_dict(state["streams"])

@@ -1,10 +1,10 @@
-"""One loss for both halves of RIL: path consistency, anchored to the expert's labels."""
+"""One loss for both halves of RIL: temporal differences plus cross-entropy with the labels."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -14,18 +14,19 @@ from torch import Tensor
 
 from ril.config.fields import at_least, within
 from ril.learners.q_learning import TemporalDifferenceConfig
-from ril.learners.td import n_step, taken, td_losses, td_targets
-from ril.vectorized.descent import descent
+from ril.learners.td import action_values, n_step, td_losses, td_targets
+from ril.vectorized.descent import descent, train_on_minibatches
 from ril.vectorized.networks import Consistent, Network, Parameters, by_name, parameter_count
 from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.rollout import Episodes
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
 
 @dataclass
 class ConsistencyConfig(TemporalDifferenceConfig):
-    """Both halves in one descent, of `ril_consistent`."""
+    """The loss of `ril_consistent`, for both halves of RIL."""
 
     anneal: bool = MISSING
     n_steps: int = MISSING
@@ -41,23 +42,25 @@ class ConsistencyConfig(TemporalDifferenceConfig):
     replay_recent: float | None = MISSING
 
 
-class ConsistentLearning:
-    """S pairs of value and policy that learn from transitions and from labels in one descent.
+class ConsistentLearning(Stateful):
+    """Trains S value functions and policies on transitions and labels, by one loss.
 
     Args:
         network: Q(s, a) = V(s) + τ·log π(a | s).
         replay: each seed's memory of its own episodes.
         config: `method.q_learning`.
-        seeds: S.
-        recent: how many of the newest transitions half of each minibatch is of; None draws from
-            all alike.
-        fused: whether each step is one compiled graph; the same but for rounding.
+        seeds: the S seeds of the run.
+        recent: draw half of each minibatch from this many newest transitions; None draws all of
+            it from the whole memory.
+        compile_step: whether each step is one compiled graph, which differs in the last bits.
 
     Attributes:
-        average: of the networks over the last updates, whose values are the targets.
-        policy: the average's π alone, as logits; it is what acts.
-        unit: (S,) by which rewards are divided; 0 until the first episodes.
+        average: running mean of the networks' parameters, from which the targets are computed.
+        policy: the average's π alone, as logits; it acts.
+        reward_scale: (S,) divisor of the rewards; 0 before the first episodes.
     """
+
+    STATE: ClassVar = ("network", "average", "reward_scale", "_optimizer", "replay", "_streams")
 
     def __init__(
         self,
@@ -67,14 +70,14 @@ class ConsistentLearning:
         seeds: tuple[int, ...],
         *,
         recent: int | None = None,
-        fused: bool = False,
+        compile_step: bool = False,
     ) -> None:
         assert isinstance(network.architecture, Consistent)
         self.network = network
         self.replay = replay
         self.recent = recent
         self.config = config
-        self.unit = torch.zeros(len(seeds), device=network.flat.device)
+        self.reward_scale = torch.zeros(len(seeds), device=network.flat.device)
         self.average = network.copy()
         of_value = parameter_count(network.architecture.value)
         self.policy = Network(network.architecture.policy, self.average.flat[:, of_value:])
@@ -82,20 +85,23 @@ class ConsistentLearning:
             purpose: Streams(seeds, purpose) for purpose in ("replay batches", "cloning batches")
         }
         self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
-        self._descend = descent(self._optimizer, self._loss, fused=fused)
+        self._descend = descent(self._optimizer, self._loss, compile_step=compile_step)
 
     def remember(self, episodes: Episodes) -> None:
-        """Keep the transitions of S·N episodes, as many of each seed, those of one side by side.
+        """Store episodes as n-step transitions.
 
-        Rewards are counted in units of their mean size in the first episodes of each seed.
+        Rewards are divided by their mean absolute value in the seed's first episodes.
+
+        Args:
+            episodes: S·N episodes, the N of one seed side by side.
         """
-        config, seeds = self.config, len(self.unit)
-        if not self.unit.any():
-            size = np.abs(episodes.rewards).reshape(seeds, -1).sum(axis=1, dtype=np.float64)
-            mean = size / episodes.lengths.reshape(seeds, -1).sum(axis=1)
-            self.unit.copy_(torch.from_numpy(np.where(mean > 0, mean, 1.0)))
-        unit = self.unit.cpu().numpy().repeat(len(episodes.lengths) // seeds)
-        self.replay.append(n_step(episodes, config.n_steps, config.discount, unit))
+        config, seeds = self.config, len(self.reward_scale)
+        if not self.reward_scale.any():
+            total = np.abs(episodes.rewards).reshape(seeds, -1).sum(axis=1, dtype=np.float64)
+            mean = total / episodes.lengths.reshape(seeds, -1).sum(axis=1)
+            self.reward_scale.copy_(torch.from_numpy(np.where(mean > 0, mean, 1.0)))
+        scale = self.reward_scale.cpu().numpy().repeat(len(episodes.lengths) // seeds)
+        self.replay.append(n_step(episodes, config.n_steps, config.discount, scale))
 
     def train(
         self,
@@ -105,18 +111,18 @@ class ConsistentLearning:
         weights: Tensor | None,
         learning_rate: float,
     ) -> tuple[Tensor, Tensor]:
-        """Minibatch steps of the temporal-difference loss and, beside it, of cross-entropy.
+        """Take minibatch steps of the temporal-difference loss plus weighted cross-entropy.
 
         Args:
-            updates: how many steps.
-            states: (M, obs) of the expert, the same for all seeds.
-            labels: (S, M) the actions given for them; None learns from the transitions alone.
-            weights: (S, M) of their cross-entropy; None where there are no labels.
+            updates: number of steps, at least 1.
+            states: (M, obs) states of the expert, the same for all seeds.
+            labels: (S, M) actions in these states; None trains on the transitions alone.
+            weights: (S, M) weights of the labels' cross-entropy; None without labels.
             learning_rate: of these steps.
 
         Returns:
-            (S,) mean temporal-difference loss over the steps, and mean cross-entropy, of labels
-            without weight, too.
+            Two means over the steps, (S,) each: the temporal-difference loss, and the unweighted
+            cross-entropy.
         """
         self._optimizer.learning_rate = learning_rate
         config, device = self.config, self.network.flat.device
@@ -125,27 +131,26 @@ class ConsistentLearning:
         numbers = self._streams["cloning batches"].uniform(updates, config.batch_size)
         shown = random_indices(numbers, np.full(len(numbers), len(states))).to(device)
         stored = self.replay.everything()
-        totals = torch.zeros(2, len(self.unit), device=device)
-        for update in range(updates):
-            anchor: tuple[Tensor | None, ...] = (None, None, None)
+
+        def step(own: Tensor, shown: Tensor) -> Tensor:
+            labeled: tuple[Tensor | None, ...] = (None, None, None)
             if labels is not None and weights is not None:
-                chosen = shown[:, update]
-                anchor = states[chosen], labels.gather(1, chosen), weights.gather(1, chosen)
-            # A compiled graph refuses other strides than its first.
-            at = slots[:, update].contiguous()
-            _, *losses = self._descend(self.average.flat, stored, at, *anchor)
-            totals += torch.stack([each.mean(dim=1) for each in losses])
+                labeled = states[shown], labels.gather(1, shown), weights.gather(1, shown)
+            # Contiguous, because a compiled graph accepts the strides of its first call only.
+            _, *losses = self._descend(self.average.flat, stored, own.contiguous(), *labeled)
             self.average.flat.lerp_(self.network.flat, config.tau)
-        td_loss, cloning_loss = totals / max(updates, 1)
+            return torch.stack([each.mean(dim=1) for each in losses])
+
+        td_loss, cloning_loss = train_on_minibatches(step, slots.unbind(dim=1), shown.unbind(dim=1))
         return td_loss, cloning_loss
 
     def _slots(self, numbers: NDArray[np.float32]) -> Tensor:
-        """Slots of the memory for uniform numbers (S, updates, B): half of the newest."""
+        """Turn uniform numbers (S, updates, B) in [0, 1) into slots of the memory."""
         if self.recent is None:
             return random_indices(numbers, self.replay.sizes)
-        whole, newest = np.split(numbers, [numbers.shape[-1] // 2], axis=-1)
-        parts = random_indices(whole, self.replay.sizes), self.replay.newest(newest, self.recent)
-        return torch.cat(parts, dim=-1)
+        overall, newest = np.split(numbers, [numbers.shape[-1] // 2], axis=-1)
+        halves = random_indices(overall, self.replay.sizes), self.replay.newest(newest, self.recent)
+        return torch.cat(halves, dim=-1)
 
     def _loss(
         self,
@@ -157,37 +162,44 @@ class ConsistentLearning:
         labels: Tensor | None,
         weights: Tensor | None,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """What is descended, and its two parts; each (S, B).
+        """Compute the loss and its two parts.
 
         Args:
-            parameters: of value and policy, by name.
-            average: (S, P) parameters whose values are the targets.
-            memory: (S, N, …) all transitions.
-            slots: (S, B) those that are learnt from.
-            states: (S, B, obs) of the expert; None leaves the second part out.
+            parameters: of value function and policy, by name.
+            average: (S, P) parameters from which the targets are computed.
+            memory: (S, N, …) all stored transitions.
+            slots: (S, B) the transitions to train on.
+            states: (S, B, obs) states of the expert; None omits the cross-entropy.
             labels: (S, B) their actions.
-            weights: (S, B) of the second part.
+            weights: (S, B) weights of the cross-entropy.
+
+        Returns:
+            The loss, the temporal-difference loss and the unweighted cross-entropy, (S, B) each.
         """
         architecture, config = self.network.architecture, self.config
         assert isinstance(architecture, Consistent)
         batch = memory.at(slots)
         values = architecture.forward(parameters, batch.observations)
-        errors = taken(values, batch.actions) - self._targets(average, batch)
+        errors = action_values(values, batch.actions) - self._targets(average, batch)
         td = td_losses(errors, config.loss)
         if states is None or labels is None or weights is None:
             return td, td, torch.zeros_like(td)
         logits = architecture.logits(parameters, states)
-        # Cross-entropy; compiled together with the above, torch's own is rounded otherwise for
-        # one seed alone than for several.
-        cloning = logits.logsumexp(dim=-1) - taken(logits, labels)
+        # Cross-entropy, written out: within this graph, the rounding of torch's own depends on the
+        # number of seeds.
+        cloning = logits.logsumexp(dim=-1) - action_values(logits, labels)
         return td + weights * cloning, td, cloning
 
     @torch.no_grad()
     def _targets(self, average: Tensor, batch: Batch) -> Tensor:
-        """(S, B) what the values of the actions taken are drawn to.
+        """Compute the targets (S, B) of the values Q(S_t, A_t).
 
-        An action that is not the best one is not drawn further than `gap` below the best: how bad
-        it is need not be known, and π could say it by improbable logits alone.
+        The target of an action that is not the best lies at most `gap` below the best value: how
+        bad it is need not be known, and π could only express it by extreme logits.
+
+        Args:
+            average: (S, P) parameters from which the values are computed.
+            batch: B transitions per seed.
         """
         architecture, config = self.network.architecture, self.config
         discount = config.discount**config.n_steps
@@ -198,26 +210,5 @@ class ConsistentLearning:
         here, following = values(both).chunk(2, dim=1)
         targets = td_targets(batch, following, discount)
         best = here.amax(dim=-1)
-        is_best = taken(here, batch.actions) >= best
+        is_best = action_values(here, batch.actions) >= best
         return torch.where(is_best, targets, torch.maximum(targets, best - config.gap))
-
-    def state_dict(self) -> dict[str, Any]:
-        """Networks, optimiser, replay, and random streams."""
-        return {
-            "network": self.network.flat,
-            "average": self.average.flat,
-            "unit": self.unit,
-            "optimizer": self._optimizer.state_dict(),
-            "replay": self.replay.state_dict(),
-            "streams": {name: each.state_dict() for name, each in self._streams.items()},
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.network.flat.copy_(state["network"])
-        self.average.flat.copy_(state["average"])
-        self.unit.copy_(state["unit"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self.replay.load_state_dict(state["replay"])
-        for name, each in self._streams.items():
-            each.load_state_dict(state["streams"][name])

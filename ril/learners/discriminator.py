@@ -1,9 +1,9 @@
-"""GAIL's discriminator: is a state and action the expert's, or the policy's?"""
+"""GAIL's discriminator, which tells the expert's state-action pairs from the policy's."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -13,15 +13,17 @@ from torch import Tensor
 from torch.nn import functional
 
 from ril.config.fields import one_of
+from ril.vectorized.descent import train_on_minibatches
 from ril.vectorized.networks import Network
-from ril.vectorized.replay import at, random_indices
+from ril.vectorized.replay import gather_by_seed, random_indices
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
 
 @dataclass
 class DiscriminatorConfig:
-    """GAIL's discriminator, and what it pays."""
+    """GAIL's discriminator and the rewards that it gives."""
 
     hidden: list[int] = MISSING
     learning_rate: float = MISSING
@@ -31,19 +33,19 @@ class DiscriminatorConfig:
 
 
 def state_action_pairs(observations: Tensor, actions: Tensor, action_count: int) -> Tensor:
-    """States (..., obs) and actions (...) to (..., obs + |A|), the actions one-hot."""
+    """Join states (…, obs) and one-hot actions (…) into pairs (…, obs + |A|)."""
     one_hot = functional.one_hot(actions, action_count).to(observations)
     return torch.cat((observations, one_hot), dim=-1)
 
 
 def discriminator_loss(expert_logits: Tensor, generated_logits: Tensor) -> Tensor:
-    """What the discriminator minimises: −E_E[log D] − E_π[log(1 − D)], with D = σ(logit).
+    """Compute the discriminator's loss −E_E[log D] − E_π[log(1 − D)], with D = σ(logit).
 
-    D is the chance that a pair is the expert's; the paper of GAIL has it the other way round.
+    D is the probability that a pair is the expert's; in GAIL's paper it is the policy's.
 
     Args:
-        expert_logits: (S, B) of the expert's pairs.
-        generated_logits: (S, C) of the policy's.
+        expert_logits: (S, B) for the expert's pairs.
+        generated_logits: (S, C) for the policy's pairs.
 
     Returns:
         (S,).
@@ -53,26 +55,31 @@ def discriminator_loss(expert_logits: Tensor, generated_logits: Tensor) -> Tenso
 
 
 def imitation_reward(logits: Tensor, kind: str) -> Tensor:
-    """What the policy is paid for a pair.
+    """Compute the policy's rewards from the discriminator's logits.
 
     Args:
-        logits: (...) of the discriminator.
-        kind: "positive" is −log(1 − D) ≥ 0, which also pays for staying alive; "negative" is
-            log D ≤ 0, which also charges for every step, as tasks that end in success need.
+        logits: (…) for state-action pairs.
+        kind: "positive" is −log(1 − D) ≥ 0, which also rewards long episodes; "negative" is
+            log D ≤ 0, which also rewards short ones, for tasks whose episodes end in success.
+
+    Returns:
+        (…).
     """
     if kind == "positive":
         return functional.softplus(logits)
     return -functional.softplus(-logits)
 
 
-class Discriminator:
+class Discriminator(Stateful):
     """S discriminators D(s, a).
 
     Args:
         network: from obs + |A| features to one logit.
         config: `method.discriminator`.
-        streams: from which minibatches are drawn.
+        streams: of the random numbers that draw minibatches.
     """
+
+    STATE: ClassVar = ("network", "_optimizer", "_streams")
 
     def __init__(self, network: Network, config: DiscriminatorConfig, streams: Streams) -> None:
         self.network = network
@@ -81,48 +88,36 @@ class Discriminator:
         self._optimizer = ClippedAdam(network, config.learning_rate)
 
     def train(self, expert: Tensor, generated: Tensor) -> dict[str, NDArray[np.float64]]:
-        """Minibatch steps, each with as many of the expert's pairs as of the policy's.
+        """Take minibatch steps, each on equally many pairs of the expert and of the policy.
 
         Args:
             expert: (M, obs + |A|) pairs of the expert, the same for all seeds.
             generated: (S, N, obs + |A|) pairs of each seed's policy.
 
         Returns:
-            Diagnostics by name, each (S,): mean loss, and the share of pairs told rightly.
+            Means over the steps by name, (S,) each: the loss, and the share of pairs that are
+            classified correctly.
         """
         updates, batch_size = self.config.updates, self.config.batch_size
         seeds, device = len(generated), generated.device
         uniform = self._streams.uniform(updates, 2, batch_size)
         of_expert = random_indices(uniform[:, :, 0], np.full(seeds, len(expert))).to(device)
         of_policy = random_indices(uniform[:, :, 1], np.full(seeds, generated.shape[1])).to(device)
-        total, right = torch.zeros(2, seeds, device=device)
-        for update in range(updates):
-            pairs = (expert[of_expert[:, update]], at(generated, of_policy[:, update]))
+
+        def step(of_expert: Tensor, of_policy: Tensor) -> Tensor:
+            pairs = expert[of_expert], gather_by_seed(generated, of_policy)
             logits = self.network(torch.cat(pairs, dim=1)).squeeze(-1)
             expert_logits, generated_logits = logits.chunk(2, dim=1)
             losses = discriminator_loss(expert_logits, generated_logits)
             self._optimizer.step(losses)
-            total += losses.detach()
-            told = torch.cat((expert_logits > 0, generated_logits <= 0), dim=1)
-            right += told.float().mean(dim=1)
-        metrics = {"discriminator_loss": total, "discriminator_accuracy": right}
-        return {name: (sums / updates).double().cpu().numpy() for name, sums in metrics.items()}
+            correct = torch.cat((expert_logits > 0, generated_logits <= 0), dim=1)
+            return torch.stack((losses.detach(), correct.float().mean(dim=1)))
+
+        means = train_on_minibatches(step, of_expert.unbind(dim=1), of_policy.unbind(dim=1))
+        loss, accuracy = means.double().cpu().numpy()
+        return {"discriminator_loss": loss, "discriminator_accuracy": accuracy}
 
     @torch.no_grad()
     def rewards(self, generated: Tensor) -> Tensor:
-        """(S, N, obs + |A|) pairs to (S, N) rewards."""
+        """Compute rewards (S, N) for pairs (S, N, obs + |A|) of the policy."""
         return imitation_reward(self.network(generated).squeeze(-1), self.config.reward)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Parameters, optimiser and random streams."""
-        return {
-            "parameters": self.network.flat,
-            "optimizer": self._optimizer.state_dict(),
-            "streams": self._streams.state_dict(),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.network.flat.copy_(state["parameters"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._streams.load_state_dict(state["streams"])

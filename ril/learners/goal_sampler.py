@@ -1,4 +1,4 @@
-"""The goal sampler: how much of I^s comes from the policy's own successes (§3.4, eq. 2)."""
+"""The goal sampler: the share of I^s that comes from the policy's own successes (§3.4, eq. 2)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ril.vectorized.replay import Batch, Replay
 
 @dataclass
 class GoalSamplerConfig:
-    """Line 14: where I^s comes from."""
+    """The composition of I^s (Alg. 1, line 14)."""
 
     pre_steps_per_action: int = MISSING
     memory: str = one_of("run", "epoch", "none")
@@ -26,18 +26,18 @@ class GoalSamplerConfig:
 
 
 def positive_limit(epoch: float, n: float, k: float) -> float:
-    """Equation 2: the upper limit on how much of I^pos enters I^s (docs/deviations.md, D12).
+    """Compute the upper limit on the share of I^pos in I^s (eq. 2; docs/deviations.md, D12).
 
-    1 − 1 / (1 + (n/e − 1)^(−k)), which is 0/0 or complex outside 0 < e < n. There it is
-    continued as its limits: 0 at e = 0, and 1 from e = n on.
+    Equation 2 is 1 − 1 / (1 + (n/e − 1)^(−k)), which is 0/0 or complex outside 0 < e < n. There
+    it is replaced by its limits: 0 at e = 0, and 1 from e = n on.
 
     Args:
         epoch: e ≥ 0.
-        n: epochs until the limit is 1; n > 0.
+        n: epoch from which the limit is 1; n > 0.
         k: slope of the curve; k > 0.
 
     Returns:
-        A share in [0, 1] that never falls as e grows.
+        A share in [0, 1], which does not decrease with e.
     """
     if epoch <= 0:
         return 0.0
@@ -60,13 +60,13 @@ class Selection(NamedTuple):
 def choose_per_action(
     memory: Replay, share: NDArray[np.float64], action_count: int, uniform: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
-    """Choose a share of each action's transitions, without replacement.
+    """Choose a share of each action's transitions at random, without replacement.
 
     Args:
-        memory: of which transitions are chosen.
-        share: (S,) part of each action's transitions, in [0, 1]; rounded up.
+        memory: the transitions to choose from.
+        share: (S,) share of each action's transitions, in [0, 1]; their number is rounded up.
         action_count: |A|.
-        uniform: (S, capacity) random numbers in [0, 1) that decide which.
+        uniform: (S, capacity) random numbers in [0, 1), which decide the choice.
 
     Returns:
         (S, capacity) true where a slot is chosen.
@@ -77,8 +77,8 @@ def choose_per_action(
     counts = (actions[:, :, None] == np.arange(action_count + 1)).sum(axis=1)
     quota = np.ceil(share[:, None] * counts).astype(np.int64)
     quota[:, action_count] = 0
-    # Sorted by action and, within an action, at random: a slot's rank among its action's
-    # slots then says whether it is within the quota.
+    # Slots are sorted by action and, within an action, at random. A slot is chosen if its rank
+    # among its action's slots is within the quota.
     order = np.argsort(actions + uniform.astype(np.float64), axis=1)
     ordered = np.take_along_axis(actions, order, axis=1)
     first = np.cumsum(counts, axis=1) - counts
@@ -97,17 +97,21 @@ def select(
     *,
     keep_pre: bool,
 ) -> Selection:
-    """Algorithm 1, line 14: I^s from I^pre and I^pos.
+    """Select I^s from I^pre and I^pos (Algorithm 1, line 14).
 
-    Per action, `share` of the transitions of I^pos, and of those of I^pre all or 1 − `share`.
+    Of each action, I^s has a `share` of the transitions of I^pos, and all or 1 − `share` of those
+    of I^pre.
 
     Args:
         pre: I^pre, the random policy's transitions.
         pos: I^pos, transitions of episodes that reached the goal.
-        share: (S,) of I^pos, in [0, 1]; taken as 0 for seeds whose I^pos is empty.
+        share: (S,) share of I^pos, in [0, 1]; counts as 0 for seeds whose I^pos is empty.
         action_count: |A|.
         uniform: (S, capacity of pre + capacity of pos) random numbers in [0, 1).
-        keep_pre: whether I^pre is in I^s whole, whatever the share.
+        keep_pre: whether I^s has all of I^pre, for every share.
+
+    Returns:
+        I^s of each seed.
     """
     share = np.where(pos.sizes > 0, share, 0.0)
     share_of_pre = np.ones_like(share) if keep_pre else 1 - share

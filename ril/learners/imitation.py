@@ -20,7 +20,7 @@ from ril.learners.exploration import ExplorationConfig, exploration_ratio, sampl
 from ril.learners.goal_sampler import GoalSamplerConfig, Selection, select
 from ril.learners.inverse_dynamics import InverseDynamics, InverseDynamicsConfig
 from ril.learners.stopping import StoppingConfig, StoppingRule
-from ril.learners.td import taken
+from ril.learners.td import action_values
 from ril.learners.topology import NetworkConfig, mlp
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
@@ -91,12 +91,14 @@ class SelfSupervisedImitation(Stateful):
             )
         size, actions = environment.observation_size, environment.action_count
         self.inverse_dynamics = InverseDynamics(  # line 1: M_θ
-            Network.initialise(
+            Network.initialize(
                 mlp(config.network, 2 * size, actions), seeds, "inverse dynamics", task.device
             ),
             config.inverse_dynamics,
             Streams(seeds, "inverse dynamics batches"),
-            fused=worth_compiling(task.compile, config.epochs * config.inverse_dynamics.updates),
+            compile_step=worth_compiling(
+                task.compile, config.epochs * config.inverse_dynamics.updates
+            ),
         )
         self.expert_states = torch.from_numpy(task.expert.observations).to(task.device)  # line 3
         self._expert_next = torch.from_numpy(task.expert.next_observations).to(task.device)
@@ -127,7 +129,7 @@ class SelfSupervisedImitation(Stateful):
             episodes = environments.play(act, streams.integers(2**31, _PRE_COPIES).ravel())
             self.pre.append(episodes, keep=np.repeat(unfilled, _PRE_COPIES))
         if self.config.inverse_dynamics.standardise:
-            self.inverse_dynamics.standardise(self.pre.everything())
+            self.inverse_dynamics.standardize(self.pre.everything())
 
     def sample_dataset(self, limit: float) -> Selection:
         """Compose I^s of I^pre and I^pos (line 14, of the epoch before).
@@ -159,7 +161,7 @@ class SelfSupervisedImitation(Stateful):
         else:
             uniform = self._streams["labels"].uniform(logits.shape[1])
             labels = sample_softmax(logits, torch.from_numpy(uniform).to(logits.device))
-        self.confidence = taken(logits.softmax(dim=-1), labels)
+        self.confidence = action_values(logits.softmax(dim=-1), labels)
         return labels
 
     @torch.no_grad()

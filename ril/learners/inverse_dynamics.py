@@ -1,9 +1,9 @@
-"""The inverse dynamics model M_θ: which action leads from one state to the next (§3.2)."""
+"""The inverse dynamics model M_θ, which infers the action between two states (§3.2)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from omegaconf import MISSING
@@ -11,10 +11,11 @@ from torch import Tensor
 
 from ril.config.fields import one_of
 from ril.learners.goal_sampler import Selection
-from ril.vectorized.descent import descent
+from ril.vectorized.descent import descent, train_on_minibatches
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, Parameters
 from ril.vectorized.replay import Batch, random_indices
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
@@ -32,15 +33,17 @@ class InverseDynamicsConfig:
     labels: str = one_of("argmax", "sample")
 
 
-class InverseDynamics:
+class InverseDynamics(Stateful):
     """S models M_θ(a | s_t, s_{t+1}), trained on I^s.
 
     Args:
         network: from 2·obs features to |A| logits.
         config: `method.inverse_dynamics`.
-        streams: from which minibatches are drawn.
-        fused: whether each step is one compiled graph; the same but for rounding.
+        streams: of the random numbers that draw minibatches.
+        compile_step: whether each step is one compiled graph, which differs in the last bits.
     """
+
+    STATE: ClassVar = ("network", "_mean", "_deviation", "_optimizer", "_streams")
 
     def __init__(
         self,
@@ -48,25 +51,25 @@ class InverseDynamics:
         config: InverseDynamicsConfig,
         streams: Streams,
         *,
-        fused: bool = False,
+        compile_step: bool = False,
     ) -> None:
         self.network = network
         self.config = config
         self._streams = streams
         self._optimizer = ClippedAdam(network, config.learning_rate, config.gradient_clip)
-        self._descend = descent(self._optimizer, self._loss, fused=fused)
+        self._descend = descent(self._optimizer, self._loss, compile_step=compile_step)
         features = network.parameters["linear0.weight"].shape[1]
         self._mean = torch.zeros(len(network.flat), 1, features, device=network.flat.device)
         self._deviation = torch.ones_like(self._mean)
 
-    def standardise(self, transitions: Batch) -> None:
-        """Scale the inputs by mean and standard deviation of some transitions, per seed.
+    def standardize(self, transitions: Batch) -> None:
+        """Standardize each seed's inputs by mean and standard deviation of some transitions.
 
-        With `standardise=change` only the change is: states come scaled, and an expert may be in
-        some that are far outside what random actions reach.
+        `standardise=change` standardizes the change only: the states are scaled already, and an
+        expert may visit states far outside of those that random actions reach.
 
         Args:
-            transitions: (S, B, …), those of I^pre.
+            transitions: (S, B, …), of I^pre.
         """
         features = self._features(transitions.observations, transitions.next_observations)
         self._mean = features.mean(dim=1, keepdim=True)
@@ -77,30 +80,34 @@ class InverseDynamics:
             self._mean[..., :size], self._deviation[..., :size] = 0.0, 1.0
 
     def train(self, selection: Selection) -> Tensor:
-        """Algorithm 1, line 7: minibatch steps of cross-entropy on I^s.
+        """Take minibatch steps of cross-entropy on I^s (Algorithm 1, line 7).
+
+        Args:
+            selection: I^s.
 
         Returns:
-            (S,) mean loss over these steps.
+            (S,) mean loss over the steps.
         """
         updates, batch_size = self.config.updates, self.config.batch_size
         device = self.network.flat.device
         uniform = self._streams.uniform(updates, batch_size)
         indices = random_indices(uniform, selection.sizes).to(device)
-        total = torch.zeros(len(indices), device=device)
-        for update in range(updates):
-            batch = selection.transitions.at(indices[:, update])
+
+        def step(chosen: Tensor) -> Tensor:
+            batch = selection.transitions.at(chosen)
             transitions = batch.observations, batch.next_observations, batch.actions
             (losses,) = self._descend(*transitions, self._mean, self._deviation)
-            total += losses.mean(dim=1)
-        return total / updates
+            return losses.mean(dim=1)
+
+        return train_on_minibatches(step, indices.unbind(dim=1))
 
     def __call__(self, observations: Tensor, next_observations: Tensor) -> Tensor:
-        """(S, B, obs) states and next states to (S, B, |A|) logits."""
+        """Map states and next states (S, B, obs) to (S, B, |A|) logits."""
         features = self._features(observations, next_observations)
         return self.network((features - self._mean) / self._deviation)
 
     def _features(self, observations: Tensor, next_observations: Tensor) -> Tensor:
-        """(S, B, 2·obs) what the model sees of a transition."""
+        """Compute the features (S, B, 2·obs) of transitions, before they are standardized."""
         if self.config.inputs == "change":
             next_observations = next_observations - observations
         return torch.cat((observations, next_observations), dim=-1)
@@ -114,7 +121,7 @@ class InverseDynamics:
         mean: Tensor,
         deviation: Tensor,
     ) -> tuple[Tensor]:
-        """(S, B) cross-entropies with actions (S, B); mean and deviation are (S, 1, n)."""
+        """Compute (S, B) cross-entropies with actions (S, B); mean and deviation are (S, 1, n)."""
         features = self._features(observations, next_observations)
         standard = (features - mean) / deviation
         logits = self.network.architecture.forward(parameters, standard)
@@ -122,7 +129,7 @@ class InverseDynamics:
 
     @torch.no_grad()
     def label(self, observations: Tensor, next_observations: Tensor) -> Tensor:
-        """The likeliest action of each transition.
+        """Infer the likeliest action of each transition.
 
         Args:
             observations: (S, B, obs) states s_t.
@@ -132,21 +139,3 @@ class InverseDynamics:
             (S, B) actions.
         """
         return self(observations, next_observations).argmax(dim=-1)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Parameters, optimiser and random streams."""
-        return {
-            "parameters": self.network.flat,
-            "mean": self._mean,
-            "deviation": self._deviation,
-            "optimizer": self._optimizer.state_dict(),
-            "streams": self._streams.state_dict(),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.network.flat.copy_(state["parameters"])
-        self._mean.copy_(state["mean"])
-        self._deviation.copy_(state["deviation"])
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._streams.load_state_dict(state["streams"])

@@ -1,9 +1,9 @@
-"""K-FAC: natural gradient steps with a Fisher matrix that is a Kronecker product per layer."""
+"""K-FAC: natural gradients with a Fisher matrix that is one Kronecker product per layer."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import torch
 from omegaconf import MISSING
@@ -13,11 +13,12 @@ from torch.nn import functional
 from ril.config.fields import within
 from ril.io.errors import UserError
 from ril.vectorized.networks import MLP, Network, apply_linear
+from ril.vectorized.state import Stateful
 
 
 @dataclass
 class KFACConfig:
-    """Steps of K-FAC within a trust region; of ACKTR's actor or its critic."""
+    """K-FAC's steps within a trust region, for ACKTR's actor or its critic."""
 
     learning_rate: float = MISSING
     kl_clip: float = MISSING
@@ -28,93 +29,100 @@ class KFACConfig:
 
 
 def aligned(x: Tensor) -> Tensor:
-    """Zeros beside the last axis, up to a multiple of 16.
+    """Pad the last axis with zeros, up to a multiple of 16.
 
-    Every seed's matrices then begin at a multiple of 64 bytes, without which products and
-    eigenvectors are rounded otherwise for one seed alone than for several. A zero feature, or
-    the zero gradient of an output, has no weight of its own that could change.
+    Each seed's matrices then begin at a multiple of 64 bytes. Otherwise, the rounding of products
+    and eigenvectors would depend on the number of seeds. Padding changes no parameter, since a
+    padded input or output has no weights.
     """
     return functional.pad(x, (0, -x.shape[-1] % 16))
 
 
-class FactoredLayer:
-    """One Linear layer's block of the Fisher matrix, F ≈ A ⊗ G, in each of S networks.
+class FactoredLayer(Stateful):
+    """One Linear layer's block of the Fisher matrix, F ≈ A ⊗ G, for each of S networks.
 
-    Below, n and m are the layer's inputs with a 1 beside them for the bias, and its outputs,
-    both `aligned`.
+    Below, n counts the layer's inputs plus a constant 1 for the bias, and m its outputs, both
+    `aligned`.
 
     Args:
         seeds: S.
         inputs: of the layer, without the 1.
         outputs: of the layer.
-        device: where the factors live.
+        device: of the factors.
 
     Attributes:
         factors: A = E[a aᵀ] (S, n, n) of inputs a, and G = E[g gᵀ] (S, m, m) of the gradients
             g with respect to outputs; running means.
-        eigenvalues: of both factors as of the last `decompose`, (S, n) and (S, m).
+        eigenvalues: of both factors at the last `decompose`, (S, n) and (S, m).
         bases: their eigenvectors, (S, n, n) and (S, m, m).
     """
+
+    STATE: ClassVar = ("factors", "eigenvalues", "bases")
 
     def __init__(self, seeds: int, inputs: int, outputs: int, device: torch.device) -> None:
         self.shape = (inputs + 1, outputs)
         sizes = [size + -size % 16 for size in self.shape]
-        self.factors = [torch.zeros(seeds, size, size, device=device) for size in sizes]
-        self.eigenvalues = [torch.zeros(seeds, size, device=device) for size in sizes]
-        self.bases = [torch.zeros_like(factor) for factor in self.factors]
+        self.factors = tuple(torch.zeros(seeds, size, size, device=device) for size in sizes)
+        self.eigenvalues = tuple(torch.zeros(seeds, size, device=device) for size in sizes)
+        self.bases = tuple(torch.zeros_like(factor) for factor in self.factors)
 
     def observe(self, inputs: Tensor, gradients: Tensor, weight: float) -> None:
-        """Move the factors towards those of a batch: inputs (S, B, n), gradients (S, B, m)."""
+        """Update the factors with those of a batch.
+
+        Args:
+            inputs: a, (S, B, n).
+            gradients: g, (S, B, m).
+            weight: of the batch in the running means.
+        """
         for factor, batch in zip(self.factors, (inputs, gradients), strict=True):
             factor.lerp_(batch.mT @ batch / batch.shape[1], weight)
 
     def decompose(self) -> None:
-        """Work out the eigenvalues and bases of the factors as they now are."""
+        """Compute the eigenvalues and eigenvectors of the current factors.
+
+        Raises:
+            UserError: a factor is not finite.
+        """
         for factor, eigenvalues, basis in zip(
             self.factors, self.eigenvalues, self.bases, strict=True
         ):
             try:
                 values, vectors = torch.linalg.eigh(factor)
-            except RuntimeError:  # of linear algebra
+            except RuntimeError:  # torch's linear algebra error is one
                 raise UserError(
-                    "method.actor, method.critic: a network is no longer finite; lower its "
-                    "learning_rate or kl_clip"
+                    "method.actor, method.critic: a network's parameters are no longer finite; "
+                    "lower its learning_rate or kl_clip"
                 ) from None
-            eigenvalues.copy_(values.clamp_min(0))  # which rounding may leave below
+            eigenvalues.copy_(values.clamp_min(0))  # rounding may make them negative
             basis.copy_(vectors)
 
-    def natural(self, gradient: Tensor, damping: float) -> Tensor:
-        """(A ⊗ G + damping·I)⁻¹ times a gradient (S, n, m) by the layer's weights."""
+    def natural_gradient(self, gradient: Tensor, damping: float) -> Tensor:
+        """Compute (A ⊗ G + damping·I)⁻¹ ∇ for a gradient ∇ (S, n, m) of the layer's weights."""
         of_inputs, of_outputs = self.bases
         eigenvalues = self.eigenvalues[0][:, :, None] * self.eigenvalues[1][:, None, :]
         rotated = of_inputs.mT @ gradient @ of_outputs
         return of_inputs @ (rotated / (eigenvalues + damping)) @ of_outputs.mT
 
-    def flat(self, matrix: Tensor) -> Tensor:
-        """(S, n, m) to (S, parameters), as a network's buffer has the weights and the bias."""
+    def flatten(self, matrix: Tensor) -> Tensor:
+        """Order (S, n, m) as (S, parameters): weights, then bias, as in `Network.flat`."""
         rows, columns = self.shape
         return matrix[:, :rows, :columns].flatten(1)
 
-    def state_dict(self) -> dict[str, Any]:
-        """Factors, and what was made of them."""
-        return {"factors": self.factors, "eigenvalues": self.eigenvalues, "bases": self.bases}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        for name, tensors in self.state_dict().items():
-            for tensor, saved in zip(tensors, state[name], strict=True):
-                tensor.copy_(saved)
-
-
-class KFAC:
-    """Natural gradient descent within a trust region (Wu et al., 2017, §3), by K-FAC.
-
-    The network has to be a plain one: Linear layers with tanh between them.
+class KFAC(Stateful):
+    """Natural gradient descent within a trust region, by K-FAC (Wu et al., 2017, §3).
 
     Args:
-        network: whose parameters it changes, in place.
+        network: Linear layers with tanh between them; its parameters are updated in place.
         config: `method.actor` or `method.critic`.
+
+    Attributes:
+        steps: number of steps so far.
+        velocity: (S, P) running mean of the steps.
+        layers: each layer's block of the Fisher matrix, by name.
     """
+
+    STATE: ClassVar = ("steps", "velocity", "layers")
 
     def __init__(self, network: Network, config: KFACConfig) -> None:
         shape = network.architecture
@@ -136,7 +144,10 @@ class KFAC:
         self._outputs: list[Tensor] = []
 
     def __call__(self, x: Tensor) -> Tensor:
-        """The network's outputs at x (S, B, inputs), of which the next `step`'s losses are made."""
+        """Compute the outputs (S, B, outputs) for inputs (S, B, inputs).
+
+        The losses of the next `step` must be computed from them.
+        """
         self._inputs, self._outputs = [], []
         for name in self.layers:
             x = self._outputs[-1].tanh() if self._outputs else x
@@ -144,19 +155,21 @@ class KFAC:
             self._outputs.append(apply_linear(self.network.parameters, name, x))
         return self._outputs[-1]
 
-    def step(self, losses: Tensor, surprise: Tensor) -> None:
-        """Descend each seed's own loss.
+    def step(self, losses: Tensor, log_prob: Tensor) -> None:
+        """Take one step down each seed's own loss.
 
         Args:
             losses: (S,), one per seed.
-            surprise: (S, B) −log p of each output's sample, drawn from the network's own
-                distribution; the Fisher matrix is the covariance of its gradients.
+            log_prob: (S, B) log p of a sample from the network's own distribution at each output.
+                The Fisher matrix is the covariance of its gradients, so its sign does not matter.
         """
         config = self.config
         by_outputs = torch.autograd.grad(losses.sum(), self._outputs, retain_graph=True)
-        fisher = torch.autograd.grad(surprise.sum(), self._outputs)
+        fisher = torch.autograd.grad(log_prob.sum(), self._outputs)
         self.steps += 1
-        weight = max(1 - config.stats_decay, 1 / self.steps)  # at first a plain mean
+        weight = max(
+            1 - config.stats_decay, 1 / self.steps
+        )  # at first the plain mean of all batches
         gradients, steps = [], []
         for layer, x, loss_gradient, fisher_gradient in zip(
             self.layers.values(), self._inputs, by_outputs, fisher, strict=True
@@ -166,23 +179,11 @@ class KFAC:
             if (self.steps - 1) % config.eigen_interval == 0:
                 layer.decompose()
             gradient = inputs.mT @ aligned(loss_gradient)
-            gradients.append(layer.flat(gradient))
-            steps.append(layer.flat(layer.natural(gradient, config.damping)))
+            gradients.append(layer.flatten(gradient))
+            steps.append(layer.flatten(layer.natural_gradient(gradient, config.damping)))
         gradient, delta = torch.cat(gradients, dim=1), torch.cat(steps, dim=1)
-        # F̂Δ = ∇, so that ∇ᵀΔ is the quadratic form of the trust region: η²·ΔᵀF̂Δ / 2 ≤ δ.
+        # F̂Δ = ∇, so ∇ᵀΔ = ΔᵀF̂Δ, and the trust region η²·ΔᵀF̂Δ / 2 ≤ δ limits the rate η.
         quadratic = (gradient * delta).sum(dim=1, keepdim=True).clamp_min(1e-12)
         rate = (2 * config.kl_clip / quadratic).sqrt().clamp(max=config.learning_rate)
         self.velocity.lerp_(rate * delta, 1 - config.momentum)
         self.network.flat.sub_(self.velocity)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Factors, bases, velocity and step count."""
-        layers = {name: layer.state_dict() for name, layer in self.layers.items()}
-        return {"steps": self.steps, "velocity": self.velocity, "layers": layers}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.steps = state["steps"]
-        self.velocity.copy_(state["velocity"])
-        for name, layer in self.layers.items():
-            layer.load_state_dict(state["layers"][name])

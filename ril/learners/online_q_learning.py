@@ -1,9 +1,9 @@
-"""Q-learning while acting: S seeds step their environments side by side and learn as they go."""
+"""Online Q-learning: S agents step their environments side by side and train every few steps."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -20,13 +20,14 @@ from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.networks import Network
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay
+from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 
 
 @dataclass
 class ReplayConfig:
-    """What is remembered, and what is drawn of it."""
+    """The replay memory, and the distribution of draws from it."""
 
     capacity: int | None = MISSING
     alpha: float = at_least(0)
@@ -35,7 +36,7 @@ class ReplayConfig:
 
 @dataclass
 class OnlineQLearningConfig(TargetNetworkConfig):
-    """Q-learning while acting, for a number of steps."""
+    """Online Q-learning."""
 
     double: bool = MISSING
     train_freq: int = MISSING
@@ -44,23 +45,37 @@ class OnlineQLearningConfig(TargetNetworkConfig):
 
 
 Metrics = dict[str, NDArray[np.float64]]
-EPOCHS = 1000  # into which methods cut a budget, for looks, checkpoints and display
+EPOCHS = 1000  # parts of a budget, after each of which a method yields to the run
 
 
-class OnlineQLearning:
-    """S agents that act ε-greedily and, every few steps, learn from their replay memories.
+class OnlineQLearning(Stateful):
+    """S agents that act ε-greedily and, every few steps, train on their replay memories.
+
+    The policy is not part of the state, since the methods save it.
 
     Args:
         config: `method.q_learning`.
         task: environment and seeds.
-        policy: that acts, read as a Q-function.
-        kind: what exploring draws from, softmax or uniform (`learners/exploration.py`).
-        total_steps: of each seed; prioritised replay undoes all of its bias at the last.
-        purpose: of the random numbers by which it explores.
+        policy: acts; its outputs are Q-values.
+        kind: distribution of exploring actions, "softmax" or "uniform".
+        total_steps: budget of each seed, over which prioritized replay raises β to 1.
+        purpose: of the random numbers for exploration.
 
     Attributes:
-        steps: that each seed has taken.
+        steps: environment steps of each seed so far.
+
+    Raises:
+        UserError: the replay memory's capacity is not given, or does not fit into memory.
     """
+
+    STATE: ClassVar = (
+        "steps",
+        "learner",
+        "_environments",
+        "_exploration",
+        "_returns",
+        "_last_returns",
+    )
 
     def __init__(
         self,
@@ -78,7 +93,9 @@ class OnlineQLearning:
         self.steps = 0
         environment, seeds, replay = task.environment, task.seeds, config.replay
         if replay.capacity is None:
-            raise UserError("method.q_learning.replay.capacity=null: must be given")
+            raise UserError(
+                "method.q_learning.replay.capacity=null: must be a number of transitions"
+            )
         self._environments = SteppedEnvironments(environment, seeds, 1, "online q-learning")
         updates = config.updates * (total_steps // config.train_freq)
         priorities = None
@@ -97,22 +114,22 @@ class OnlineQLearning:
             Streams(seeds, "replay batches"),
             priorities=priorities,
             double=config.double,
-            fused=worth_compiling(task.compile, updates),
+            compile_step=worth_compiling(task.compile, updates),
         )
         self._action_count = environment.action_count
         self._exploration = Streams(seeds, purpose)
-        self._returns = np.zeros(len(seeds))  # of the episodes under way
-        self._last_returns = np.full(len(seeds), np.nan)  # of the last that ended
+        self._returns = np.zeros(len(seeds))  # of the current episodes, so far
+        self._last_returns = np.full(len(seeds), np.nan)  # of the last finished ones
 
     def advance(self, until: int, epsilon: NDArray[np.float64]) -> Metrics:
-        """Act and learn until each seed has taken so many steps.
+        """Act and train until each seed has made `until` environment steps.
 
         Args:
-            until: T steps more than have been taken.
-            epsilon: (T, S) chances to explore.
+            until: T more than `steps`.
+            epsilon: (T, S) probabilities to explore.
 
         Returns:
-            Diagnostics by name, each (S,): NaN where nothing was learnt, or no episode has ended.
+            Diagnostics by name, (S,) each; NaN without any update, or before a first episode ends.
         """
         chance, choice = self._exploration.uniform(until - self.steps, 2).transpose(2, 1, 0)
         explores = chance < epsilon
@@ -130,7 +147,12 @@ class OnlineQLearning:
         }
 
     def _act(self, exploring: NDArray[np.bool_], number: NDArray[np.float32]) -> None:
-        """One step of every seed's environment, remembered."""
+        """Step every seed's environment once, and store the transitions.
+
+        Args:
+            exploring: (S,) whether to explore.
+            number: (S,) random numbers in [0, 1) that choose the exploring actions.
+        """
         before = self._environments.observations
         actions = self._choose(before, exploring, number)
         step = self._environments.step(actions)
@@ -148,7 +170,7 @@ class OnlineQLearning:
     def _choose(
         self, observations: Floats, exploring: NDArray[np.bool_], number: NDArray[np.float32]
     ) -> Integers:
-        """(S,) actions: greedy, or, where exploring, by random numbers (S,) in [0, 1)."""
+        """Choose actions (S,): greedy ones, or random ones where `exploring`."""
         values = self.policy.infer(observations)[:, 0]
         greedy: Integers = values.argmax(dim=-1).cpu().numpy()
         if not exploring.any():
@@ -161,26 +183,6 @@ class OnlineQLearning:
         return np.where(exploring, other, greedy)
 
     def _beta(self) -> float:
-        """β, which rises to 1 along a straight line (Schaul et al., 2015, §3.4)."""
-        least = self.config.replay.beta
-        return least + (1 - least) * min(1.0, self.steps / self.total_steps)
-
-    def state_dict(self) -> dict[str, Any]:
-        """All that the next step depends on; the policy belongs to the method."""
-        return {
-            "steps": self.steps,
-            "learner": self.learner.state_dict(),
-            "environments": self._environments.state_dict(),
-            "exploration": self._exploration.state_dict(),
-            "returns": self._returns.tolist(),
-            "last_returns": self._last_returns.tolist(),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.steps = state["steps"]
-        self.learner.load_state_dict(state["learner"])
-        self._environments.load_state_dict(state["environments"])
-        self._exploration.load_state_dict(state["exploration"])
-        self._returns = np.array(state["returns"])
-        self._last_returns = np.array(state["last_returns"])
+        """Compute β, which rises linearly to 1 (Schaul et al., 2015, §3.4)."""
+        initial = self.config.replay.beta
+        return initial + (1 - initial) * min(1.0, self.steps / self.total_steps)

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO as a part: a rollout at a time, by its own or by given rewards."""
+"""Stable-Baselines3's PPO, one rollout at a time, with the environment's rewards or others."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from ril.config.fields import at_least, within
 from ril.environments import Environment, Floats, Integers
 from ril.io.errors import UserError
-from ril.learners.stable_baselines import Normalised, StableBaselinesEnvironments
+from ril.learners.stable_baselines import Normalized, StableBaselinesEnvironments
 from ril.learners.topology import tanh_mlp
 from ril.vectorized.networks import MLP
 from ril.vectorized.stepping import SteppedEnvironments
@@ -30,7 +30,7 @@ from ril.vectorized.stepping import SteppedEnvironments
 
 @dataclass
 class PPOConfig:
-    """Stable-Baselines3's PPO, by its own names; `hidden` of policy and value function each."""
+    """Stable-Baselines3's names; `hidden` applies to policy and value function each."""
 
     hidden: list[int] = MISSING
     n_envs: int = MISSING
@@ -45,26 +45,26 @@ class PPOConfig:
 
 
 def actor_topology(config: PPOConfig, environment: Environment) -> MLP:
-    """What acts in "MlpPolicy": tanh layers between observations and action logits."""
+    """Build the architecture of the actor in "MlpPolicy": observations to action logits."""
     return tanh_mlp(environment.observation_size, config.hidden, environment.action_count)
 
 
 class PPOAgent:
-    """One seed's PPO with random numbers and environments of its own.
+    """One seed's PPO, with its own random numbers and environments.
 
-    Stable-Baselines3 draws from torch's and numpy's global generators; here they are put in the
-    seed's own state while it works, so that seeds trained side by side cannot reach each other.
+    Stable-Baselines3 draws from torch's and NumPy's global generators. While it works, they are
+    set to the seed's own state, so that seeds trained side by side do not affect each other.
 
     Args:
         config: hyperparameters.
         environment: the task; the agent sees scaled observations.
         seed: of networks, actions, minibatches and episodes.
-        normalize: whether observations and rewards are normalised by what was met so far.
-        falls_over: environment steps over which learning rate and clip range fall linearly to 0;
-            None keeps them.
+        normalize: whether to normalize observations and rewards by their running moments.
+        schedule_steps: environment steps over which learning rate and clip range fall linearly
+            to 0; None keeps them constant.
 
     Raises:
-        UserError: minibatches do not fit into a rollout.
+        UserError: the batch size does not divide a rollout.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class PPOAgent:
         seed: int,
         *,
         normalize: bool = False,
-        falls_over: int | None = None,
+        schedule_steps: int | None = None,
     ) -> None:
         rollout = config.n_envs * config.n_steps
         if config.batch_size < 2 or rollout % config.batch_size:
@@ -85,18 +85,19 @@ class PPOAgent:
         self._stepped = SteppedEnvironments(environment, [seed], config.n_envs, "ppo")
         self._environments: VecEnv = StableBaselinesEnvironments(self._stepped)
         if normalize:
-            self._environments = Normalised(self._environments, config.gamma)
-        self._falls_over = falls_over
-        settings: dict[str, Any] = {name: getattr(config, name) for name in _OF_PPO}
-        if falls_over is not None:
-            settings |= {name: _falling(settings[name]) for name in ("learning_rate", "clip_range")}
+            self._environments = Normalized(self._environments, config.gamma)
+        self._schedule_steps = schedule_steps
+        settings: dict[str, Any] = {name: getattr(config, name) for name in _ARGUMENTS}
+        if schedule_steps is not None:
+            scheduled = "learning_rate", "clip_range"
+            settings |= {name: _linear_schedule(settings[name]) for name in scheduled}
         self._randomness = _randomness()
         with self._own_randomness():
             self.model = PPO(
                 "MlpPolicy",
                 self._environments,
                 policy_kwargs={"net_arch": list(config.hidden)},
-                seed=seed % 2**32,  # the most that numpy takes
+                seed=seed % 2**32,  # NumPy's global generator accepts no larger one
                 device="cpu",
                 **settings,
             )
@@ -104,42 +105,42 @@ class PPOAgent:
         self.model.ep_info_buffer = self.model.ep_success_buffer = deque(maxlen=1)
         self.model._last_obs = self._environments.reset()
         self.model._last_episode_starts = np.ones(config.n_envs, dtype=bool)
-        self._cut = _CutEpisodes()
-        self._cut.init_callback(self.model)
+        self._truncated = _TruncatedEpisodes()
+        self._truncated.init_callback(self.model)
 
     def collect(self) -> tuple[Floats, Integers]:
         """Play `n_steps` in each of the K copies.
 
         Returns:
-            (n_steps·K, obs) scaled states, normalised if the agent does that, and (n_steps·K,)
-            the actions taken in them.
+            (n_steps·K, obs) scaled states, normalized if `normalize`, and (n_steps·K,) the
+            actions in them.
         """
         model = self.model
         with self._own_randomness():
             model.collect_rollouts(
-                self._environments, self._cut, model.rollout_buffer, model.n_steps
+                self._environments, self._truncated, model.rollout_buffer, model.n_steps
             )
         buffer = model.rollout_buffer
         observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
         return observations, buffer.actions.astype(np.int64).ravel()
 
     def improve(self, rewards: Floats | None = None) -> None:
-        """PPO's update on the last rollout.
+        """Update policy and value function on the last rollout.
 
         Args:
-            rewards: (n_steps·K,) for what `collect` gave, in place of the environment's own.
+            rewards: (n_steps·K,) of the pairs that `collect` returned; the environment's if None.
         """
         model, buffer = self.model, self.model.rollout_buffer
         if rewards is not None:
             buffer.rewards[:] = rewards.reshape(buffer.rewards.shape)
-        if self._falls_over is not None:
-            # Not below 0 in a last rollout that is longer than what was left (docs/ppo.md, P4).
+        if self._schedule_steps is not None:
+            # At least 0, because the last rollout may exceed the budget (docs/ppo.md, P4).
             model._current_progress_remaining = max(
-                0.0, 1.0 - model.num_timesteps / self._falls_over
+                0.0, 1.0 - model.num_timesteps / self._schedule_steps
             )
         with self._own_randomness():
-            for step, copy, final_observation in self._cut.episodes:
-                # An episode that the step limit cut would have gone on (as in SB3's own rollouts).
+            for step, copy, final_observation in self._truncated.episodes:
+                # The final state of a truncated episode has a value, as in SB3's own rollouts.
                 buffer.rewards[step, copy] += model.gamma * self._value(final_observation[None])[0]
             assert isinstance(model._last_obs, np.ndarray)
             last_values = torch.from_numpy(self._value(model._last_obs))
@@ -148,14 +149,14 @@ class PPOAgent:
             model.train()
 
     def _value(self, observations: Floats) -> Floats:
-        """(N, obs) scaled observations to (N,) values."""
+        """Compute values (N,) of scaled observations (N, obs)."""
         with torch.no_grad():
             values = self.model.policy.predict_values(torch.from_numpy(observations))
         flat: Floats = values.flatten().numpy()
         return flat
 
     def diagnostics(self) -> dict[str, float]:
-        """What Stable-Baselines3 logs of its last update, means over its minibatches."""
+        """Return what Stable-Baselines3 logged of its last update: means over minibatches."""
         logged = self.model.logger.name_to_value
         return {
             "entropy": -float(logged["train/entropy_loss"]),
@@ -164,19 +165,21 @@ class PPOAgent:
         }
 
     def actor(self) -> Tensor:
-        """(P,) the policy's parameters, as a row of a `Network` of `actor_topology`.
+        """Return the actor's parameters (P,), as a row of a `Network` of `actor_topology`.
 
-        It takes scaled observations that are not normalised: its first layer does that.
+        Its inputs are scaled observations that are not normalized: that is folded into its first
+        layer.
         """
         policy = self.model.policy
         modules = (*policy.mlp_extractor.policy_net, policy.action_net)
         layers = [(m.weight.T.detach(), m.bias.detach()) for m in modules if type(m) is nn.Linear]
-        if isinstance(self._environments, Normalised):
+        if isinstance(self._environments, Normalized):
             layers[0] = self._environments.fold(*layers[0])
         return torch.cat([parameter.reshape(-1) for layer in layers for parameter in layer])
 
     @contextmanager
     def _own_randomness(self) -> Iterator[None]:
+        """Set the global generators to the seed's own state, and restore them at the end."""
         outside, python = _randomness(), random.getstate()
         _set_randomness(self._randomness)
         try:
@@ -184,10 +187,10 @@ class PPOAgent:
         finally:
             self._randomness = _randomness()
             _set_randomness(outside)
-            random.setstate(python)  # seeded by SB3's PPO, which then draws nothing from it
+            random.setstate(python)  # SB3's PPO seeds it but draws nothing from it
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the next rollout depends on, as tensors and plain values."""
+        """Return everything that the next rollout depends on, as tensors and plain values."""
         starts = self.model._last_episode_starts
         assert starts is not None
         state = {
@@ -198,39 +201,38 @@ class PPOAgent:
             "environments": self._stepped.state_dict(),
             "randomness": self._randomness,
         }
-        if isinstance(self._environments, Normalised):
-            state["normalisation"] = self._environments.state_dict()
+        if isinstance(self._environments, Normalized):
+            state["normalization"] = self._environments.state_dict()
         return state
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
+        """Resume from a state that `state_dict` returned."""
         self.model.policy.load_state_dict(state["policy"])
         self.model.policy.optimizer.load_state_dict(state["optimizer"])
         self.model.num_timesteps = state["steps"]
         self.model._last_episode_starts = np.array(state["episode_starts"])
         self._stepped.load_state_dict(state["environments"])
         self.model._last_obs = self._stepped.observations
-        if isinstance(self._environments, Normalised):
-            self._environments.load_state_dict(state["normalisation"])
+        if isinstance(self._environments, Normalized):
+            self._environments.load_state_dict(state["normalization"])
             self.model._last_obs = self._environments.normalize_obs(self._stepped.observations)
         self._randomness = state["randomness"]
 
 
-#: Keys of PPOConfig that PPO takes by the same name; the other two are its network's and its
-#: environments'.
-_OF_PPO = tuple(
+#: Keys of PPOConfig that are arguments of PPO; the other two belong to networks and environments.
+_ARGUMENTS = tuple(
     field.name for field in dataclasses.fields(PPOConfig) if field.name not in ("hidden", "n_envs")
 )
 
 
-def _falling(value: float) -> Callable[[float], float]:
-    """A value that falls with the share of the steps that is left."""
-    return lambda left: left * value
+def _linear_schedule(value: float) -> Callable[[float], float]:
+    """Make a schedule that falls from `value` to 0 with the remaining share of the steps."""
+    return lambda remaining: remaining * value
 
 
 def _randomness() -> dict[str, Any]:
-    """Torch's and numpy's global generators, as a tensor and plain values."""
-    state: dict[str, Any] = np.random.get_state(legacy=False)  # noqa: NPY002 - what SB3 draws from
+    """Return the state of torch's and NumPy's global generators, as a tensor and plain values."""
+    state: dict[str, Any] = np.random.get_state(legacy=False)  # noqa: NPY002 - SB3 uses it
     inner = state["state"]
     return {
         "torch": torch.get_rng_state(),
@@ -239,16 +241,17 @@ def _randomness() -> dict[str, Any]:
 
 
 def _set_randomness(state: dict[str, Any]) -> None:
+    """Set both global generators to a state that `_randomness` returned."""
     torch.set_rng_state(state["torch"])
     key, *rest = state["numpy"]
     np.random.set_state(("MT19937", np.array(key, dtype=np.uint32), *rest))  # noqa: NPY002
 
 
-class _CutEpisodes(BaseCallback):
-    """Notes what Stable-Baselines3's rollout meets where the step limit cut an episode.
+class _TruncatedEpisodes(BaseCallback):
+    """Records the episodes of a rollout that the step limit truncated.
 
     Attributes:
-        episodes: (step of the rollout, copy, final observation as the policy would see it).
+        episodes: (step of the rollout, copy, final observation as the policy sees it) of each.
     """
 
     def __init__(self) -> None:

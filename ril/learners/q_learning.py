@@ -1,23 +1,23 @@
-"""Q-learning on the policy's own episodes (§3.3, eq. 1)."""
+"""Q-learning from replay memories (§3.3, eq. 1)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from omegaconf import MISSING
 from torch import Tensor
 
 from ril.config.fields import at_least, one_of, within
 from ril.learners.td import td_errors, td_losses
-from ril.vectorized.descent import descent
+from ril.vectorized.descent import descent, train_on_minibatches
 from ril.vectorized.networks import Network, Parameters, by_name
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Batch, Replay, random_indices
+from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
 
@@ -36,23 +36,28 @@ class TemporalDifferenceConfig:
 
 @dataclass
 class TargetNetworkConfig(TemporalDifferenceConfig):
-    """With a target network that is copied from time to time."""
+    """Q-learning with a target network."""
 
     target_interval: int = at_least(0)
 
 
-class QLearning:
-    """S policies read as Q-functions, trained from replay.
+class QLearning(Stateful):
+    """Trains S policies, whose outputs are Q-values, on their replay memories.
+
+    The policy is not part of the state, since the methods save it.
 
     Args:
-        policy: from obs features to |A| values.
-        replay: each seed's memory, filled by the method.
+        policy: π_φ, from obs features to |A| values.
+        replay: each seed's memory; the caller fills it.
         config: `method.q_learning`.
-        streams: from which minibatches are drawn.
-        priorities: of the memory's slots, which the method gives to new ones; None draws uniformly.
-        double: whether the policy, not the target network, chooses the next action.
-        fused: whether each step is one compiled graph; the same but for rounding.
+        streams: of the random numbers that draw minibatches.
+        priorities: of the memory's slots; the caller adds those of new transitions. None draws
+            uniformly.
+        double: whether the policy instead of the target network chooses the next action.
+        compile_step: whether each step is one compiled graph, which differs in the last bits.
     """
+
+    STATE: ClassVar = ("_optimizer", "_target", "replay", "_streams", "priorities")
 
     def __init__(
         self,
@@ -63,7 +68,7 @@ class QLearning:
         *,
         priorities: Priorities | None = None,
         double: bool = False,
-        fused: bool = False,
+        compile_step: bool = False,
     ) -> None:
         self.policy = policy
         self.replay = replay
@@ -73,34 +78,35 @@ class QLearning:
         self._streams = streams
         self._target = policy.copy() if config.target_interval else policy
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
-        self._descend = descent(self._optimizer, self._loss, fused=fused)
+        self._descend = descent(self._optimizer, self._loss, compile_step=compile_step)
 
     def train(self, updates: int, beta: float = 1.0) -> Tensor:
-        """Algorithm 1, line 13: minibatch steps of the temporal-difference loss.
+        """Take minibatch steps of the temporal-difference loss (Algorithm 1, line 13).
 
         Args:
-            updates: how many steps.
-            beta: how much of the bias of prioritised draws is undone.
+            updates: number of steps, at least 1.
+            beta: β in [0, 1], how much of the bias of prioritized draws is corrected.
 
         Returns:
-            (S,) mean loss over them.
+            (S,) mean loss over the steps, unweighted.
         """
-        config, device = self.config, self.policy.flat.device
+        config = self.config
         uniform = self._streams.uniform(updates, config.batch_size)
         memory = self.replay.everything()
-        total = torch.zeros(len(uniform), device=device)
-        for update in range(updates):
+
+        def step(uniform: NDArray[np.float32]) -> Tensor:
             if config.target_interval and self._optimizer.steps % config.target_interval == 0:
                 self._target.flat.copy_(self.policy.flat)
-            slots = self._draw(uniform[:, update])
+            slots = self._draw(uniform)
             weights = None
             if self.priorities is not None:
                 weights = self.priorities.importance(slots, self.replay.sizes, beta)
             _, losses, errors = self._descend(self._target.flat, memory, slots, weights)
             if self.priorities is not None:
                 self.priorities.update(slots, errors)
-            total += losses.mean(dim=1)
-        return total / max(updates, 1)
+            return losses.mean(dim=1)
+
+        return train_on_minibatches(step, uniform.swapaxes(0, 1))
 
     def _loss(
         self,
@@ -110,14 +116,14 @@ class QLearning:
         slots: Tensor,
         weights: Tensor | None,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """What is descended, the losses that this weighs, and the errors δ; each (S, B).
+        """Compute the weighted losses, the unweighted losses and the errors δ, (S, B) each.
 
         Args:
-            parameters: the policy's, by name.
+            parameters: of the policy, by name.
             target: (S, P) parameters of the target network.
-            memory: (S, N, …) all transitions.
-            slots: (S, B) those that are learnt from.
-            weights: (S, B) how much each counts; None is 1.
+            memory: (S, N, …) all stored transitions.
+            slots: (S, B) the transitions to train on.
+            weights: (S, B) weights of the losses; None is 1.
         """
         architecture, config = self.policy.architecture, self.config
         errors = td_errors(
@@ -131,28 +137,7 @@ class QLearning:
         return losses if weights is None else weights * losses, losses, errors
 
     def _draw(self, uniform: NDArray[np.float32]) -> Tensor:
-        """(S, B) random numbers in [0, 1) to as many filled slots."""
+        """Turn random numbers (S, B) in [0, 1) into filled slots (S, B)."""
         if self.priorities is not None:
             return self.priorities.draw(uniform, self.replay.sizes)
         return random_indices(uniform, self.replay.sizes).to(self.policy.flat.device)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Optimiser, target network, replay, its priorities, and random streams."""
-        state = {
-            "optimizer": self._optimizer.state_dict(),
-            "target": self._target.flat,
-            "replay": self.replay.state_dict(),
-            "streams": self._streams.state_dict(),
-        }
-        if self.priorities is not None:
-            state["priorities"] = self.priorities.state_dict()
-        return state
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self._optimizer.load_state_dict(state["optimizer"])
-        self._target.flat.copy_(state["target"])
-        self.replay.load_state_dict(state["replay"])
-        self._streams.load_state_dict(state["streams"])
-        if self.priorities is not None:
-            self.priorities.load_state_dict(state["priorities"])

@@ -1,8 +1,8 @@
-"""Environments as Stable-Baselines3 wants them, and its running normalisation of them."""
+"""Environments with Stable-Baselines3's interface, and its running normalization of them."""
 
 from __future__ import annotations
 
-# ruff: noqa: D102 - what VecEnv's methods do is Stable-Baselines3's to say
+# ruff: noqa: D102 - Stable-Baselines3 documents VecEnv's methods
 from typing import Any, cast
 
 import gymnasium as gym
@@ -18,10 +18,10 @@ from ril.vectorized.stepping import SteppedEnvironments
 
 
 class StableBaselinesEnvironments(VecEnv):
-    """`SteppedEnvironments` of one seed, as Stable-Baselines3 wants them.
+    """`SteppedEnvironments` of one seed, with Stable-Baselines3's interface.
 
-    The final observation of an episode that the step limit cut is in its `infos`, as usual; that
-    it was cut is not, or Stable-Baselines3 would add that state's value to the reward by itself.
+    `infos` has the final observation of a truncated episode, but not `TimeLimit.truncated`: with
+    it, Stable-Baselines3 would add that state's value to the reward by itself.
     """
 
     def __init__(self, stepped: SteppedEnvironments) -> None:
@@ -63,28 +63,28 @@ class StableBaselinesEnvironments(VecEnv):
         return [False] * self.num_envs
 
 
-class Normalised(VecNormalize):
-    """Observations of mean 0 and variance 1 so far, and rewards by the spread of their returns.
+class Normalized(VecNormalize):
+    """Observations with running mean 0 and variance 1; rewards over their returns' deviation.
 
     Args:
-        environments: what is normalised.
-        gamma: by which rewards make returns.
+        environments: to normalize.
+        gamma: γ of the returns.
     """
 
     def __init__(self, environments: VecEnv, gamma: float) -> None:
-        # What is clipped could not be folded into a layer (docs/ppo.md, P3).
+        # No clipping, because it could not be folded into a layer (docs/ppo.md, P3).
         super().__init__(environments, gamma=gamma, clip_obs=np.inf)
         self._observed = cast(RunningMeanStd, self.obs_rms)  # a dict only for dicts
 
     def fold(self, weight: Tensor, bias: Tensor) -> tuple[Tensor, Tensor]:
-        """A layer xW + b that takes observations as they are, for one that takes normalised ones.
+        """Fold the normalization of observations into a layer xW + b.
 
         Args:
-            weight: (obs, n).
-            bias: (n,).
+            weight: W, (obs, n), of a layer for normalized observations.
+            bias: b, (n,).
 
         Returns:
-            The weight and bias of the other layer.
+            Weight and bias of the equivalent layer for observations that are not normalized.
         """
         deviation = torch.from_numpy(np.sqrt(self._observed.var + self.epsilon))
         folded = weight.double() / deviation[:, None]
@@ -92,7 +92,7 @@ class Normalised(VecNormalize):
         return folded.to(weight.dtype), shifted.to(bias.dtype)
 
     def state_dict(self) -> dict[str, Any]:
-        """Moments so far and the returns of the current episodes, as plain values."""
+        """Return the running moments and the returns of the current episodes, as plain values."""
         moments = [
             [np.asarray(each.mean).tolist(), np.asarray(each.var).tolist(), each.count]
             for each in (self._observed, self.ret_rms)
@@ -100,7 +100,7 @@ class Normalised(VecNormalize):
         return {"moments": moments, "returns": self.returns.tolist()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
+        """Resume from a state that `state_dict` returned."""
         for each, saved in zip((self._observed, self.ret_rms), state["moments"], strict=True):
             mean, var, each.count = saved
             each.mean, each.var = np.array(mean), np.array(var)

@@ -1,4 +1,4 @@
-"""The networks of §4.1, as the configuration has them."""
+"""The networks of §4.1, built from their configuration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ril.vectorized.networks import MLP, Network
 
 @dataclass
 class NetworkConfig:
-    """The topology that policy and inverse dynamics model share (§4.1)."""
+    """The architecture that policy and inverse dynamics model share (§4.1)."""
 
     hidden: list[int] = MISSING
     attention: bool = MISSING
@@ -23,7 +23,7 @@ class NetworkConfig:
 
 
 def mlp(config: NetworkConfig, inputs: int, outputs: int) -> MLP:
-    """The topology that policy and inverse dynamics model share (§4.1)."""
+    """Build the architecture that policy and inverse dynamics model share (§4.1)."""
     return MLP(
         inputs,
         tuple(config.hidden),
@@ -35,12 +35,12 @@ def mlp(config: NetworkConfig, inputs: int, outputs: int) -> MLP:
 
 
 def tanh_mlp(inputs: int, hidden: Sequence[int], outputs: int) -> MLP:
-    """The plain network of PPO, ACKTR and GAIL's discriminator: Linear layers, tanh between."""
+    """Build the network of PPO, ACKTR and GAIL's discriminator: Linear layers with tanh between."""
     return MLP(inputs, tuple(hidden), outputs, False, False, negative_slope=None)
 
 
 def initial_policy(config: NetworkConfig, task: Task) -> Network:
-    """The random policies π_φ that BC, IUPE and RIL begin with (Alg. 1, line 2)."""
+    """Make the random policies π_φ that BC, IUPE and RIL begin with (Alg. 1, line 2)."""
     environment = task.environment
     topology = mlp(config, environment.observation_size, environment.action_count)
-    return Network.initialise(topology, task.seeds, "policy", task.device)
+    return Network.initialize(topology, task.seeds, "policy", task.device)

@@ -16,7 +16,7 @@ from torch import Tensor
 from ril.config.fields import at_least, part, within
 from ril.config.schema import MethodConfig
 from ril.environments import Floats
-from ril.learners.advantages import generalised_advantages
+from ril.learners.advantages import generalized_advantages
 from ril.learners.exploration import sample_softmax
 from ril.learners.kfac import KFAC, KFACConfig
 from ril.learners.topology import tanh_mlp
@@ -65,8 +65,8 @@ class ACKTR(Stateful):
         size = environment.observation_size
         actor = tanh_mlp(size, config.hidden, environment.action_count)
         critic = tanh_mlp(size, config.hidden, 1)
-        self.policy = Network.initialise(actor, seeds, "policy", task.device)
-        self.value = Network.initialise(critic, seeds, "value", task.device)
+        self.policy = Network.initialize(actor, seeds, "policy", task.device)
+        self.value = Network.initialize(critic, seeds, "value", task.device)
         self.actor = KFAC(self.policy, config.actor)
         self.critic = KFAC(self.value, config.critic)
         self.environments = SteppedEnvironments(environment, seeds, config.n_envs, "acktr")
@@ -132,7 +132,7 @@ class ACKTR(Stateful):
         with torch.no_grad():
             next_values = self.value(self._by_seed(followed.next_observations)).squeeze(-1)
         advantages = self._by_seed(
-            generalised_advantages(
+            generalized_advantages(
                 followed.rewards,
                 self._by_step(values),
                 self._by_step(next_values),
@@ -146,14 +146,14 @@ class ACKTR(Stateful):
         value_loss = (values - targets).square().mean(dim=1) / 2
         # V(s) is the mean of a Gaussian of unit variance, whose −log p has the gradient ε∂v for
         # a sample V(s) + ε; E[ε²] = 1, so that ∂v has the same Fisher matrix without the noise.
-        self.critic.step(value_loss, surprise=values)
+        self.critic.step(value_loss, log_prob=values)
 
         log_chances = self.actor(states).log_softmax(dim=-1)
         chosen = log_chances.gather(-1, self._by_seed(actions)[..., None]).squeeze(-1)
         entropy = -(log_chances.exp() * log_chances).sum(dim=-1).mean(dim=1)
         policy_loss = -(chosen * advantages).mean(dim=1) - config.ent_coef * entropy
         # The actions of the rollout are samples of the policy as it still is.
-        self.actor.step(policy_loss, surprise=-chosen)
+        self.actor.step(policy_loss, log_prob=chosen)
         metrics = {"entropy": entropy, "value_loss": value_loss}
         return {name: each.detach().double().cpu().numpy() for name, each in metrics.items()}
 

@@ -50,7 +50,7 @@ class BC(Stateful):
             self.policy,
             config.cloning,
             Streams(seeds, "cloning batches"),
-            fused=worth_compiling(task.compile, config.epochs * config.cloning.updates),
+            compile_step=worth_compiling(task.compile, config.epochs * config.cloning.updates),
         )
         self._states = torch.from_numpy(task.expert.observations).to(task.device)
         actions = torch.from_numpy(task.expert.actions).to(task.device)

@@ -64,7 +64,7 @@ class DQN(Stateful):
     def __init__(self, config: DQNConfig, task: Task) -> None:
         self.config = config
         self.epochs = min(EPOCHS, config.total_timesteps)
-        self.policy = Network.initialise(topology(config, task), task.seeds, "policy", task.device)
+        self.policy = Network.initialize(topology(config, task), task.seeds, "policy", task.device)
         self.q_learning = OnlineQLearning(
             config.q_learning, task, self.policy, "uniform", config.total_timesteps
         )

@@ -24,7 +24,7 @@ from ril.methods.base import Progress
 from ril.methods.spec import MethodSpec, Shown
 from ril.task import Task
 from ril.vectorized.networks import Network
-from ril.vectorized.processes import Spread
+from ril.vectorized.processes import WorkerPool
 from ril.vectorized.streams import Streams
 
 
@@ -50,7 +50,7 @@ class GAIL:
         environment, seeds = task.environment, task.seeds
         self.round_steps = config.ppo.n_envs * config.ppo.n_steps
         self.epochs = math.ceil(config.total_timesteps / self.round_steps)
-        self.agents = Spread(
+        self.agents = WorkerPool(
             [partial(PPOAgent, config.ppo, environment, seed) for seed in seeds], task.processes
         )
         topology = actor_topology(config.ppo, environment)
@@ -59,7 +59,7 @@ class GAIL:
         features = environment.observation_size + environment.action_count
         shape = tanh_mlp(features, config.discriminator.hidden, 1)
         self.discriminator = Discriminator(
-            Network.initialise(shape, seeds, "discriminator", task.device),
+            Network.initialize(shape, seeds, "discriminator", task.device),
             config.discriminator,
             Streams(seeds, "discriminator batches"),
         )

@@ -16,22 +16,16 @@ from ril.config.fields import part, within
 from ril.config.schema import MethodConfig
 from ril.environments import Environment
 from ril.io.errors import UserError
-from ril.learners.exploration import explore
-from ril.learners.latent_policy import (
-    ActionRemapping,
-    LatentDynamics,
-    LatentPolicy,
-    LatentPolicyConfig,
-    latent_loss,
-    nearest_latents,
-)
+from ril.learners.exploration import epsilon_greedy
+from ril.learners.latent_policy import LatentPolicyConfig, latent_loss, nearest_latents
 from ril.methods.base import Progress
 from ril.methods.spec import MethodSpec, Shown
 from ril.task import Task
 from ril.vectorized.descent import train_on_minibatches
+from ril.vectorized.latent_networks import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.vectorized.losses import cross_entropy
 from ril.vectorized.networks import Network, parameter_count
-from ril.vectorized.replay import at, random_indices
+from ril.vectorized.replay import gather_by_seed, random_indices
 from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
@@ -98,7 +92,7 @@ class ILPO(Stateful):
         remap = ActionRemapping(size, latents, actions, encoder, hidden, latent.negative_slope)
 
         whole = LatentPolicy(self._architecture, remap)
-        self.policy = Network.initialise(whole, seeds, "policy", task.device)
+        self.policy = Network.initialize(whole, seeds, "policy", task.device)
         border = parameter_count(self._architecture)  # both halves are views of the policy
         self.dynamics = Network(self._architecture, self.policy.flat[:, :border])
         self.remapping = Network(remap, self.policy.flat[:, border:])
@@ -174,8 +168,8 @@ class ILPO(Stateful):
         def step(uniform: Tensor, batch: NDArray[np.float32]) -> Tensor:
             self._act(uniform.transpose(0, 1), epsilon)
             chosen = random_indices(batch, np.full(seeds, self.steps)).to(device)
-            logits = self.remapping(at(self._latents_seen, chosen))
-            losses = cross_entropy(logits, at(self._actions_seen, chosen)).mean(dim=1)
+            logits = self.remapping(gather_by_seed(self._latents_seen, chosen))
+            losses = cross_entropy(logits, gather_by_seed(self._actions_seen, chosen)).mean(dim=1)
             self._remapping_optimizer.step(losses)
             return losses.detach()
 
@@ -185,7 +179,7 @@ class ILPO(Stateful):
     def _act(self, uniform: Tensor, epsilon: Tensor) -> None:
         """Take one step of each seed; store the latent action that explains the step best."""
         observations = self.environments.observations
-        actions = explore(self.policy.infer(observations), epsilon, uniform, "uniform")
+        actions = epsilon_greedy(self.policy.infer(observations), epsilon, uniform, "uniform")
         step = self.environments.step(actions.flatten().cpu().numpy())
         before = torch.from_numpy(observations).to(actions.device)[:, None]
         after = torch.from_numpy(step.next_observations).to(actions.device)[:, None]

@@ -20,7 +20,7 @@ from ril.methods.base import Progress
 from ril.methods.spec import MethodSpec
 from ril.task import Task
 from ril.vectorized.networks import Network
-from ril.vectorized.processes import Spread
+from ril.vectorized.processes import WorkerPool
 
 
 @dataclass
@@ -55,9 +55,9 @@ class PPO:
             config.ppo,
             task.environment,
             normalize=config.ppo.normalize,
-            falls_over=config.total_timesteps if config.ppo.linear_schedule else None,
+            schedule_steps=config.total_timesteps if config.ppo.linear_schedule else None,
         )
-        self.agents = Spread([partial(build, seed) for seed in task.seeds], task.processes)
+        self.agents = WorkerPool([partial(build, seed) for seed in task.seeds], task.processes)
         flat = torch.stack(self.agents.each(PPOAgent.actor)).to(task.device)
         self.policy = Network(actor_topology(config.ppo, task.environment), flat)
         self.epoch = 0

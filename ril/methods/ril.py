@@ -180,7 +180,9 @@ class EpisodicQLearning(Stateful):
             empty_memory(config.q_learning.replay_trajectories, task),
             config.q_learning,
             Streams(task.seeds, "replay batches"),
-            fused=worth_compiling(task.compile, config.epochs * config.episodes * self.updates),
+            compile_step=worth_compiling(
+                task.compile, config.epochs * config.episodes * self.updates
+            ),
         )
 
     def train(self, epoch: int, episodes: Episodes, labels: Tensor | None) -> Metrics:
@@ -233,7 +235,7 @@ def cloning(config: ImitationConfig, task: Task, policy: Network) -> Cloning:
         policy,
         config.cloning,
         Streams(task.seeds, "cloning batches"),
-        fused=worth_compiling(task.compile, config.epochs * config.cloning.updates),
+        compile_step=worth_compiling(task.compile, config.epochs * config.cloning.updates),
     )
 
 

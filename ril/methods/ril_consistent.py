@@ -141,12 +141,12 @@ def _learning(config: RILConsistentConfig, task: Task) -> ConsistentLearning:
     # One of its updates costs as much as four of Q-learning's, which evaluate their network once.
     updates = 4 * config.epochs * config.episodes * settings.updates
     return ConsistentLearning(
-        Network.initialise(architecture, task.seeds, "policy", task.device),
+        Network.initialize(architecture, task.seeds, "policy", task.device),
         empty_memory(settings.replay_trajectories, task),
         settings,
         task.seeds,
         recent=recent,
-        fused=worth_compiling(task.compile, updates),
+        compile_step=worth_compiling(task.compile, updates),
     )
 
 

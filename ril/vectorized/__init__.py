@@ -1,1 +1,1 @@
-"""S independent networks, memories and environments as one: a leading seed axis everywhere."""
+"""S independent networks, memories and environments as one: every array has a leading seed axis."""

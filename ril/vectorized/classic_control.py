@@ -1,8 +1,8 @@
-"""Gymnasium's classic control environments with arrays for numbers: equal bit for bit (tests).
+"""Gymnasium's classic control environments for K copies at once, bit-identical to Gymnasium's.
 
-Each function is `step` of one environment, for K copies at once: it takes Gymnasium's own
-environment, which holds the constants, the states (n, K) and actions (K,), and returns the states
-(n, K) and observations (obs, K) that follow, the rewards (K,) and whether the episodes end (K,).
+Each function is `step` of one environment. Its arguments are Gymnasium's own environment, which
+holds the constants, the states (n, K) and the actions (K,). It returns the next states (n, K), the
+next observations (obs, K), the rewards (K,) and whether the environment ended the episodes (K,).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Step = Callable[[Any, States, Integers], tuple[States, States, States, Ends]]
 
 
 def cartpole(env: Any, states: States, actions: Integers) -> tuple[States, States, States, Ends]:
-    """`CartPoleEnv.step`, with Euler's method."""
+    """Step CartPole as `CartPoleEnv.step` does, by Euler's method."""
     _, x_dot, theta, theta_dot = states
     force = np.where(actions == 1, env.force_mag, -env.force_mag)
     costheta, sintheta = np.cos(theta), np.sin(theta)
@@ -38,9 +38,9 @@ def cartpole(env: Any, states: States, actions: Integers) -> tuple[States, State
 
 
 def mountaincar(env: Any, states: States, actions: Integers) -> tuple[States, States, States, Ends]:
-    """`MountainCarEnv.step`."""
+    """Step MountainCar as `MountainCarEnv.step` does."""
     position, velocity = states
-    # Gymnasium takes the cosine from math, which NumPy's may differ from in the last bit.
+    # As in Gymnasium, the cosine is math's: NumPy's may differ from it in the last bit.
     slope = np.fromiter(map(math.cos, (3 * position).tolist()), float, len(position))
     velocity = velocity + ((actions - 1) * env.force + slope * -env.gravity)
     velocity = np.minimum(np.maximum(velocity, -env.max_speed), env.max_speed)
@@ -52,7 +52,7 @@ def mountaincar(env: Any, states: States, actions: Integers) -> tuple[States, St
 
 
 def acrobot(env: Any, states: States, actions: Integers) -> tuple[States, States, States, Ends]:
-    """`AcrobotEnv.step`: a step of Runge-Kutta's method along "the book's" equations of motion."""
+    """Step Acrobot as `AcrobotEnv.step` does: by Runge-Kutta, with "the book's" dynamics."""
     torque = np.array(env.AVAIL_TORQUE)[actions]
     half = env.dt / 2.0
     k1 = _acrobot_slope(env, states, torque)
@@ -74,7 +74,7 @@ def acrobot(env: Any, states: States, actions: Integers) -> tuple[States, States
 
 
 def _acrobot_slope(env: Any, states: States, torque: States) -> States:
-    """`AcrobotEnv._dsdt`: how fast each of the states (4, K) changes."""
+    """Compute the time derivatives of the states (4, K), as `AcrobotEnv._dsdt` does."""
     m1, m2, l1 = env.LINK_MASS_1, env.LINK_MASS_2, env.LINK_LENGTH_1
     lc1, lc2, moment, g = env.LINK_COM_POS_1, env.LINK_COM_POS_2, env.LINK_MOI, 9.8
     theta1, theta2, dtheta1, dtheta2 = states
@@ -95,7 +95,7 @@ def _acrobot_slope(env: Any, states: States, torque: States) -> States:
 
 
 def _squared(numbers: States) -> States:
-    """x² as Gymnasium has it of a single number, by pow, which may differ from x·x."""
+    """Square by `pow`, as Gymnasium does: the result may differ from x·x in the last bit."""
     return np.array([math.pow(number, 2.0) for number in numbers.tolist()])
 
 

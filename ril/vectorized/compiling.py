@@ -1,4 +1,4 @@
-"""Functions of tensors as one compiled graph, where a C++ compiler is at hand."""
+"""Compile functions of tensors into one graph, where a C++ compiler is installed."""
 
 from __future__ import annotations
 
@@ -13,15 +13,20 @@ from typing import Any
 
 from ril.io.errors import one_line
 
-#: Updates after which compiling, half a minute the first time, has paid, whether of one seed or
-#: of ten at once: which other seeds there are is not to decide how a seed's numbers are rounded.
+#: Compiling takes up to half a minute and pays off after this many updates. The number does not
+#: depend on how many seeds are trained together: compiled and eager results differ in the last
+#: bits, and a seed's results must not depend on the other seeds.
 _WORTHWHILE = 30_000
 
 
 def worth_compiling(wanted: bool | str, updates: int) -> bool:
-    """Whether to compile what is done so many times: as wanted, or where it pays if "auto".
+    """Decide whether to compile an update step.
 
-    Where it is, but torch would find no compiler, a line says so and it is not compiled.
+    If compiling is wanted but no compiler is installed, print a line that says so.
+
+    Args:
+        wanted: True, False, or "auto", which compiles where that pays off.
+        updates: number of updates of each seed.
     """
     if not (wanted is True or (wanted == "auto" and updates >= _WORTHWHILE)):
         return False
@@ -29,23 +34,26 @@ def worth_compiling(wanted: bool | str, updates: int) -> bool:
     header = Path(sysconfig.get_path("include"), "Python.h")
     if any(shutil.which(name) for name in candidates) and header.exists():
         return True
-    _say(f"no C++ compiler found ({', '.join(candidates)}), or not {header}")
+    _warn(f"no C++ compiler found ({', '.join(candidates)}), or {header} is missing")
     return False
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function of tensors, compiled at its first call for the shapes it is then given.
+def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function of tensors into one graph, at its first call.
 
-    All of it becomes one graph; what torch cannot take into that is an error, and so are other
-    shapes later.
+    Args:
+        function: must fit into one graph; code that torch cannot trace raises an error.
+
+    Returns:
+        The compiled function. It accepts only the shapes and strides of its first call.
     """
     import torch._inductor.config
 
-    torch._inductor.config.compile_threads = 1  # there is little to compile; start no workers
-    # Whoever holds the graph calls it in one way, so torch need not look at each call, for a fifth
-    # of its time, whether it still is the right one.
+    torch._inductor.config.compile_threads = 1  # the graphs are small: workers would cost more
+    # Every call of a graph has the same shapes, so torch's checks of its arguments, a fifth of
+    # each call's time, are switched off.
     options: dict[str, Any] = {"guard_filter_fn": lambda guards: [False] * len(guards)}
-    options["cpp_wrapper"] = True  # what calls the kernels is compiled too
+    options["cpp_wrapper"] = True  # also compile the code that calls the kernels
     lazily: Any = torch.compile(function, fullgraph=True, dynamic=False, options=options)
     graphs: list[Callable[..., Any]] = []
 
@@ -59,19 +67,24 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def unless_broken(whole: Callable[..., Any], eager: Callable[..., Any]) -> Callable[..., Any]:
-    """The first function, or, where its first call fails, the second, after a line that says so."""
+def with_fallback(compiled: Callable[..., Any], eager: Callable[..., Any]) -> Callable[..., Any]:
+    """Use a compiled function, or its eager version if compiling fails.
+
+    Args:
+        compiled: compiles itself at its first call.
+        eager: used from the first call on if that fails; a printed line says so.
+    """
     chosen: list[Callable[..., Any]] = []
 
     def call(*arguments: Any) -> Any:
         if not chosen:
             try:
-                answer = whole(*arguments)
-            except Exception as error:  # torch's own have no base of their own
-                _say(f"cannot compile here ({_cause(error)})")
+                answer = compiled(*arguments)
+            except Exception as error:  # torch's compiler errors share no base class
+                _warn(f"cannot compile here ({_cause(error)})")
                 chosen.append(eager)
             else:
-                chosen.append(whole)
+                chosen.append(compiled)
                 return answer
         return chosen[0](*arguments)
 
@@ -79,10 +92,10 @@ def unless_broken(whole: Callable[..., Any], eager: Callable[..., Any]) -> Calla
 
 
 def _cause(error: Exception) -> str:
-    """An error's type and the beginning of its text."""
+    """Return an error's type and the beginning of its text."""
     return f"{type(error).__name__}: {one_line(error)[:120]}"
 
 
-@functools.cache  # once, however many functions it is true of
-def _say(fault: str) -> None:
-    print(f"ril: {fault}; going on without, which is slower", file=sys.stderr)
+@functools.cache  # print each line once, however many functions it concerns
+def _warn(problem: str) -> None:
+    print(f"ril: {problem}; training without compiling, which is slower", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""K copies of one environment, which are reset and stepped one by one or several at once."""
+"""K copies of one environment, which can be reset and stepped independently of each other."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from ril.environments import Environment, Floats, Integers
 from ril.vectorized.classic_control import STEPS
 
-_WORTHWHILE = 5  # copies; fewer are stepped faster one after another
+_FEWEST_IN_ARRAYS = 5  # fewer copies are faster one after another
 
-#: Rewards, whether the environment ended the episode, whether the step limit cut it; each (C,).
+#: Rewards, whether the environment ended the episode, whether the step limit truncated it; (C,).
 Outcome = tuple[Floats, NDArray[np.bool_], NDArray[np.bool_]]
 
 
-class Copies(Protocol):
+class EnvironmentCopies(Protocol):
     """K copies of one environment.
 
     Attributes:
-        observations: (K, obs) raw states of all; of an episode that is over, its last.
+        observations: (K, obs) raw states; the final state where an episode is over.
     """
 
     observations: Floats
@@ -29,21 +29,37 @@ class Copies(Protocol):
         """Begin an episode in one copy."""
 
     def step(self, indices: Integers, actions: Integers) -> Outcome:
-        """Take actions (C,) in copies (C,), in order, whose episodes must not be over."""
+        """Take actions (C,) in the copies at indices (C,).
+
+        Args:
+            indices: in ascending order; the episodes of these copies must not be over.
+            actions: one for each of these copies.
+        """
 
 
-def make_copies(environment: Environment, count: int) -> Copies:
-    """Arrays where the environment is known to be the same with them, Gymnasium's own elsewhere."""
+def make_copies(environment: Environment, count: int) -> EnvironmentCopies:
+    """Make copies of an environment.
+
+    Args:
+        environment: what to copy.
+        count: K.
+
+    Returns:
+        `ArrayCopies` where `classic_control` has the environment and enough copies make that
+        faster; `GymnasiumCopies` otherwise.
+    """
     config = environment.config
     known = config.vectorized and config.id in STEPS and not config.kwargs
-    return (ArrayCopies if known and count >= _WORTHWHILE else GymnasiumCopies)(environment, count)
+    return (ArrayCopies if known and count >= _FEWEST_IN_ARRAYS else GymnasiumCopies)(
+        environment, count
+    )
 
 
 class GymnasiumCopies:
-    """Gymnasium's own environments, one after another.
+    """K of Gymnasium's own environments, stepped one after another.
 
     Args:
-        environment: of which copies are made.
+        environment: what to copy.
         count: K.
     """
 
@@ -57,49 +73,51 @@ class GymnasiumCopies:
 
     def step(self, indices: Integers, actions: Integers) -> Outcome:
         """Take actions (C,) in the copies at indices (C,)."""
-        rewards, ends, cuts = [], [], []
+        rewards, terminated, truncated = [], [], []
         for index, action in zip(indices.tolist(), actions.tolist(), strict=True):
-            self.observations[index], reward, ended, cut, _ = self._copies[index].step(action)
+            self.observations[index], reward, ended, at_limit, _ = self._copies[index].step(action)
             rewards.append(reward)
-            ends.append(ended)
-            cuts.append(cut)
+            terminated.append(ended)
+            truncated.append(at_limit)
         return (
             np.array(rewards, dtype=np.float32),
-            np.array(ends, dtype=bool),
-            np.array(cuts, dtype=bool),
+            np.array(terminated, dtype=bool),
+            np.array(truncated, dtype=bool),
         )
 
 
 class ArrayCopies:
-    """The same in arrays, for the environments of `classic_control`; the same bit for bit.
+    """K copies of an environment of `classic_control` in arrays; bit-identical to Gymnasium's.
 
     Args:
-        environment: one of these.
+        environment: an environment of `classic_control`.
         count: K.
     """
 
     def __init__(self, environment: Environment, count: int) -> None:
-        # Has the constants, and begins all episodes.
+        # Holds the constants, and resets every copy.
         self._one = cast(Any, environment.make().unwrapped)
         self._step = STEPS[environment.config.id]
         self._limit = environment.max_episode_steps
         self._one.reset(seed=0)
         self._states = np.zeros((len(self._one.state), count))
-        self._taken = np.zeros(count, dtype=np.int64)
+        self._steps = np.zeros(count, dtype=np.int64)
         self.observations = np.zeros((count, environment.observation_size), dtype=np.float32)
 
     def reset(self, index: int, seed: int) -> None:
         """Begin an episode in one copy."""
         self.observations[index] = self._one.reset(seed=seed)[0]
         self._states[:, index] = self._one.state
-        self._taken[index] = 0
+        self._steps[index] = 0
 
     def step(self, indices: Integers, actions: Integers) -> Outcome:
         """Take actions (C,) in the copies at indices (C,)."""
-        everywhere = len(indices) == len(self._taken)
-        at = slice(None) if everywhere else indices  # without copying
-        states, observations, rewards, ends = self._step(self._one, self._states[:, at], actions)
+        everywhere = len(indices) == len(self._steps)
+        at = slice(None) if everywhere else indices  # a slice needs no copy
+        states, observations, rewards, terminated = self._step(
+            self._one, self._states[:, at], actions
+        )
         self._states[:, at] = states
         self.observations[at] = observations.T
-        self._taken[at] += 1
-        return rewards.astype(np.float32), ends, self._taken[at] >= self._limit
+        self._steps[at] += 1
+        return rewards.astype(np.float32), terminated, self._steps[at] >= self._limit

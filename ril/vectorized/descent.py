@@ -1,4 +1,4 @@
-"""A step down a loss of S networks, from the forward pass to Adam; one compiled graph if wanted."""
+"""Gradient descent of S networks: one step, eager or compiled, and the loop over minibatches."""
 
 from __future__ import annotations
 
@@ -8,75 +8,78 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ril.vectorized.compiling import compiled, unless_broken
+from ril.vectorized.compiling import compile_graph, with_fallback
 from ril.vectorized.networks import by_name
 from ril.vectorized.updates import ClippedAdam
 
-#: Of the networks' parameters by name and some tensors: losses (S, B), then what else is wanted.
+#: From the networks' parameters by name and some tensors to losses (S, B) and any other results.
 Loss = Callable[..., tuple[Tensor, ...]]
 
 
-def descent(adam: ClippedAdam, loss: Loss, *, fused: bool) -> Callable[..., tuple[Tensor, ...]]:
-    """A function that takes one step for all seeds.
+def descent(
+    optimizer: ClippedAdam, loss: Loss, *, compile_step: bool
+) -> Callable[..., tuple[Tensor, ...]]:
+    """Make the function that takes one optimizer step for all seeds.
 
     Args:
-        adam: whose network and moments are changed, in place.
-        loss: what is descended, on average over each seed's B samples; a pure function.
-        fused: whether the step is one graph, compiled for the shapes of the first; the same but
-            for rounding.
+        optimizer: updates its network and its running means, in place.
+        loss: a pure function; the step descends its mean over each seed's B samples.
+        compile_step: whether forward pass, gradient and step are one compiled graph, for the
+            shapes of the first call. Results differ from the eager ones in the last bits.
 
     Returns:
-        Of the tensors that the loss takes, to what it returns for them before the step, detached.
+        A function from the tensors that `loss` takes to the values that `loss` returned for them
+        before the step, detached.
     """
-    network = adam.network
+    network = optimizer.network
 
     def eager(*tensors: Tensor) -> tuple[Tensor, ...]:
         values = loss(network.parameters, *tensors)
-        adam.step(values[0].mean(dim=1))
+        optimizer.step(values[0].mean(dim=1))
         return tuple(value.detach() for value in values)
 
-    if not fused:
+    if not compile_step:
         return eager
 
-    @compiled
-    def whole(parameters: Tensor, scales: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+    @compile_graph
+    def graph(parameters: Tensor, scales: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
         def total(named: dict[str, Tensor]) -> tuple[Tensor, tuple[Tensor, ...]]:
             values = loss(named, *tensors)
-            # That average is no output: how it is rounded depends on the number of seeds.
+            # The mean is not returned: its rounding depends on the number of seeds.
             return values[0].mean(dim=1).sum(), values
 
         views = by_name(network.architecture, parameters)
         gradients, values = torch.func.grad(total, has_aux=True)(views)
         gradient = torch.cat([each.flatten(1) for each in gradients.values()], dim=1)
-        mean, denominator = adam.change(gradient, scales[1])
+        mean, denominator = optimizer.change(gradient, scales[1])
         parameters.sub_(scales[2] / scales[0] * mean / denominator)
         descended: tuple[Tensor, ...] = values
         return descended
 
     def step(*tensors: Tensor) -> tuple[Tensor, ...]:
-        # As a tensor, since a number that changes would be compiled anew.
-        scales = torch.tensor((*adam.scales(), adam.learning_rate), device=network.flat.device)
-        values: tuple[Tensor, ...] = whole(network.flat, scales, *tensors)
-        adam.steps += 1
+        # A tensor, because the graph would hold plain numbers as constants.
+        numbers = (*optimizer.scales(), optimizer.learning_rate)
+        scales = torch.tensor(numbers, device=network.flat.device)
+        values: tuple[Tensor, ...] = graph(network.flat, scales, *tensors)
+        optimizer.steps += 1
         return values
 
-    return unless_broken(step, eager)
+    return with_fallback(step, eager)
 
 
 def train_on_minibatches(step: Callable[..., Tensor], *minibatches: Iterable[Any]) -> Tensor:
     """Take one optimizer step per minibatch.
 
     Args:
-        step: takes one entry of each of `minibatches`, descends, and returns losses (…, S).
-        *minibatches: what the steps use, an entry per step; at least one.
+        step: takes one entry of each of `minibatches`, updates the networks, and returns losses
+            (…, S).
+        *minibatches: the data of the steps, one entry per step; at least one.
 
     Returns:
         (…, S) mean loss over the steps.
     """
-    total, steps = None, 0
+    total, steps = torch.zeros(()), 0
     for minibatch in zip(*minibatches, strict=True):
-        losses = step(*minibatch)
-        total = losses if total is None else total + losses
+        total = total + step(*minibatch)
         steps += 1
-    assert total is not None
     return total / steps

@@ -1,4 +1,4 @@
-"""Losses of S networks: one number per sample."""
+"""Losses of S networks, one number per sample."""
 
 from __future__ import annotations
 
@@ -7,6 +7,14 @@ from torch.nn import functional
 
 
 def cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
-    """Cross-entropy of each sample: logits (S, B, |A|) and labels (S, B) to (S, B)."""
+    """Compute the cross-entropy of each sample.
+
+    Args:
+        logits: (S, B, |A|).
+        labels: (S, B) actions.
+
+    Returns:
+        (S, B).
+    """
     losses = functional.cross_entropy(logits.flatten(0, 1), labels.flatten(), reduction="none")
     return losses.view(labels.shape)

@@ -21,15 +21,15 @@ Parameters = Mapping[str, Tensor]  # by name, each (S, rows, columns)
 
 
 class Architecture(Protocol):
-    """The shape of a network, and what it computes with given parameters; a dataclass."""
+    """A dataclass that describes a network: the shapes of its parameters and its forward pass."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def shapes(self) -> dict[str, tuple[int, int]]:
-        """(rows, columns) of every parameter, of one seed, by name."""
+        """Return (rows, columns) of every parameter of one seed, by name."""
 
     def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
-        """(S, B, inputs) to (S, B, outputs)."""
+        """Map (S, B, inputs) to (S, B, outputs)."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class MLP:
         inputs: features of one sample.
         hidden: neurons of each hidden layer.
         outputs: one per action.
-        attention: whether a self-attention follows each hidden Linear.
-        layer_norm: whether a LayerNorm follows it.
+        attention: whether each hidden Linear is followed by self-attention.
+        layer_norm: whether each hidden layer has a LayerNorm.
         negative_slope: of LeakyReLU; None makes the activation tanh.
     """
 
@@ -53,7 +53,7 @@ class MLP:
     negative_slope: float | None = 0.01
 
     def shapes(self) -> dict[str, tuple[int, int]]:
-        """(rows, columns) of every parameter, of one seed, by name."""
+        """Return (rows, columns) of every parameter of one seed, by name."""
         shapes: dict[str, tuple[int, int]] = {}
         fan_in = self.inputs
         for layer, size in enumerate(self.hidden):
@@ -68,7 +68,7 @@ class MLP:
         return shapes | linear("output", fan_in, self.outputs)
 
     def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
-        """(S, B, inputs) to (S, B, outputs): logits, or Q-values, or both at once."""
+        """Map (S, B, inputs) to (S, B, outputs): logits, Q-values, or both at once."""
         p = parameters
         for layer in range(len(self.hidden)):
             x = apply_linear(p, f"linear{layer}", x)
@@ -97,11 +97,11 @@ class Dueling:
     advantage: MLP
 
     def shapes(self) -> dict[str, tuple[int, int]]:
-        """(rows, columns) of every parameter, of one seed, by name."""
+        """Return (rows, columns) of every parameter of one seed, by name."""
         return _streams_shapes(value=self.value, advantage=self.advantage)
 
     def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
-        """(S, B, inputs) to (S, B, |A|) values."""
+        """Map (S, B, inputs) to (S, B, |A|) values."""
         value, advantage = _streams_forward(
             parameters, x, value=self.value, advantage=self.advantage
         )
@@ -112,13 +112,13 @@ class Dueling:
 class Consistent:
     """Q(s, a) = V(s) + τ·log π(a | s), from two streams (Nachum et al., 2017).
 
-    Its largest value is that of its likeliest action, and the softmax of Q / τ is π itself.
+    The likeliest action has the largest value, and the softmax of Q / τ is π itself.
 
     Attributes:
         value: V, with one output.
-        policy: π, with a logit per action.
+        policy: π, with one logit per action.
         temperature: τ.
-        value_scale: what the output of V's stream is multiplied by.
+        value_scale: factor of the output of V's stream.
     """
 
     value: MLP
@@ -127,21 +127,21 @@ class Consistent:
     value_scale: float
 
     def shapes(self) -> dict[str, tuple[int, int]]:
-        """(rows, columns) of every parameter, of one seed, by name."""
+        """Return (rows, columns) of every parameter of one seed, by name."""
         return _streams_shapes(value=self.value, policy=self.policy)
 
     def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
-        """(S, B, inputs) to (S, B, |A|) values."""
+        """Map (S, B, inputs) to (S, B, |A|) values."""
         value, logits = _streams_forward(parameters, x, value=self.value, policy=self.policy)
         return self.value_scale * value + self.temperature * logits.log_softmax(dim=-1)
 
     def logits(self, parameters: Parameters, x: Tensor) -> Tensor:
-        """(S, B, inputs) to (S, B, |A|) logits of π alone."""
+        """Map (S, B, inputs) to (S, B, |A|) logits of π alone."""
         return _streams_forward(parameters, x, policy=self.policy)[0]
 
 
 def _streams_shapes(**streams: MLP) -> dict[str, tuple[int, int]]:
-    """(rows, columns) of every parameter of networks side by side."""
+    """Return (rows, columns) of every parameter of several streams, by name."""
     return {
         _in_stream(name, stream): shape
         for stream, network in streams.items()
@@ -150,7 +150,7 @@ def _streams_shapes(**streams: MLP) -> dict[str, tuple[int, int]]:
 
 
 def _streams_forward(parameters: Parameters, x: Tensor, **streams: MLP) -> list[Tensor]:
-    """What each of the networks side by side makes of the same inputs."""
+    """Return each stream's outputs for the same inputs (S, B, inputs)."""
     return [
         network.forward({n: parameters[_in_stream(n, stream)] for n in network.shapes()}, x)
         for stream, network in streams.items()
@@ -158,66 +158,78 @@ def _streams_forward(parameters: Parameters, x: Tensor, **streams: MLP) -> list[
 
 
 def _in_stream(name: str, stream: str) -> str:
-    """A parameter's name in one of several streams; it begins and ends as before."""
+    """Return a parameter's name in one of several streams."""
+    # The layer stays first and the kind last, which `Network.initialize` goes by.
     layer, _, kind = name.rpartition(".")
     return f"{layer}.{stream}.{kind}"
 
 
 def linear(name: str, inputs: int, outputs: int) -> dict[str, tuple[int, int]]:
-    """The shapes of one Linear layer's weight and bias."""
+    """Return the shapes of one Linear layer's weight and bias, by name."""
     return {f"{name}.weight": (inputs, outputs), f"{name}.bias": (1, outputs)}
 
 
 def apply_linear(parameters: Parameters, name: str, x: Tensor) -> Tensor:
-    """One Linear layer: (S, B, inputs) to (S, B, outputs)."""
+    """Apply the Linear layer `name`: (S, B, inputs) to (S, B, outputs)."""
     return affine(x, parameters[f"{name}.weight"], parameters[f"{name}.bias"])
 
 
 def affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """Each seed's xW + b: (S, B, n), (S, n, m) and (S, 1, m) to (S, B, m).
+    """Compute each seed's xW + b.
 
-    Where n or m is 1, a zero is put beside it: torch would multiply by a vector, and then it
-    rounds otherwise for one seed alone than for several. Within a compiled graph, where it costs
-    next to nothing, m is filled up to 16, which makes such a product more than twice as fast.
+    Where n or m is 1, x or W is padded with zeros: torch would multiply by a vector, whose
+    rounding depends on the number of seeds. In a compiled graph m is padded to 16, which costs
+    little there and makes such a product more than twice as fast.
+
+    Args:
+        x: (S, B, n).
+        weight: W, (S, n, m).
+        bias: b, (S, 1, m).
+
+    Returns:
+        (S, B, m).
     """
     inputs, outputs = weight.shape[1:]
     if inputs == 1:
         x, weight = functional.pad(x, (0, 1)), functional.pad(weight, (0, 0, 0, 1))
     least = 16 if torch.compiler.is_compiling() else 2
     if outputs < least:
-        beside = 0, least - outputs
-        weight, bias = functional.pad(weight, beside), functional.pad(bias, beside)
+        padding = 0, least - outputs
+        weight, bias = functional.pad(weight, padding), functional.pad(bias, padding)
         return torch.baddbmm(bias, x, weight)[..., :outputs]
     return torch.baddbmm(bias, x, weight)
 
 
 def self_attention(x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor) -> Tensor:
-    """Residual self-attention over the one token that a state is: x + γ·(xW + b).
+    """Apply residual self-attention to states of one token each: x + γ·(xW + b).
 
-    A softmax over one token is 1 whatever its query and key, which thus never receive a
-    gradient; only the value projection is left (docs/deviations.md, D2).
+    A softmax over one token is 1 for every query and key, so these never receive a gradient and
+    only the value projection is computed (docs/deviations.md, D2).
 
     Args:
         x: (S, B, n).
         weight: (S, n, n) of the value projection.
         bias: (S, 1, n) of the value projection.
-        gamma: (S, 1, 1) how much of it is added; starts at 0.
+        gamma: γ, (S, 1, 1), the weight of the attention; 0 at initialization.
+
+    Returns:
+        (S, B, n).
     """
     return torch.addcmul(x, gamma, affine(x, weight, bias))
 
 
 def layer_norm(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    """LayerNorm over the last axis of x (S, B, n); weight and bias (S, 1, n) are per seed."""
+    """Apply LayerNorm over the last axis of x (S, B, n), with weight and bias (S, 1, n)."""
     return torch.addcmul(bias, functional.layer_norm(x, x.shape[-1:]), weight)
 
 
 def parameter_count(architecture: Architecture) -> int:
-    """Numbers in one seed's network."""
+    """Count the parameters of one seed's network."""
     return sum(math.prod(shape) for shape in architecture.shapes().values())
 
 
 def by_name(architecture: Architecture, flat: Tensor) -> dict[str, Tensor]:
-    """Parameters (S, P) that lie side by side as views by name, each (S, rows, columns)."""
+    """Split a buffer of parameters (S, P) into views by name, each (S, rows, columns)."""
     views = {}
     start = 0
     for name, shape in architecture.shapes().items():
@@ -231,12 +243,12 @@ class Network(Stateful):
     """S networks of one architecture, whose parameters lie in one (S, P) buffer.
 
     Attributes:
-        architecture: the shape shared by all seeds.
-        flat: (S, P) all parameters; written in place by the optimiser.
+        architecture: shared by all seeds.
+        flat: (S, P) all parameters; the optimizer writes to it in place.
         parameters: views of `flat` by name, each (S, rows, columns), the leaves of autograd.
     """
 
-    STATE = ("flat",)
+    STATE: ClassVar = ("flat",)
 
     def __init__(self, architecture: Architecture, flat: Tensor) -> None:
         self.architecture = architecture
@@ -247,16 +259,16 @@ class Network(Stateful):
         }
 
     @classmethod
-    def initialise(
+    def initialize(
         cls, architecture: Architecture, seeds: Sequence[int], purpose: str, device: torch.device
     ) -> Network:
-        """Random networks: torch's own Linear and LayerNorm defaults, γ = 0.
+        """Make random networks, with torch's defaults for Linear and LayerNorm, and γ = 0.
 
         Args:
-            architecture: the shape of each.
+            architecture: of each network.
             seeds: S seeds; equal seeds and purpose give equal networks.
-            purpose: the name of the stream that is drawn from.
-            device: where the parameters live.
+            purpose: names the stream of random numbers.
+            device: of the parameters.
         """
         streams = Streams(seeds, purpose)
         flat = torch.zeros(len(seeds), parameter_count(architecture))
@@ -274,20 +286,27 @@ class Network(Stateful):
         return cls(architecture, flat.to(device))
 
     def __call__(self, x: Tensor) -> Tensor:
-        """(S, B, inputs) to (S, B, outputs)."""
+        """Map (S, B, inputs) to (S, B, outputs), with gradients."""
         return self.architecture.forward(self.parameters, x)
 
     @torch.no_grad()
     def infer(self, observations: Floats) -> Tensor:
-        """(S·N, obs) scaled observations, one seed's side by side, to (S, N, outputs)."""
+        """Compute outputs without gradients.
+
+        Args:
+            observations: (S·N, obs) scaled observations, the N of one seed side by side.
+
+        Returns:
+            (S, N, outputs).
+        """
         by_seed = torch.from_numpy(observations).to(self.flat.device)
         by_seed = by_seed.view(len(self.flat), -1, observations.shape[-1])
-        return self.architecture.forward(self._views, by_seed)  # no leaves of autograd, so cheaper
+        return self.architecture.forward(self._views, by_seed)  # faster than autograd's leaves
 
     def greedy(self, observations: Floats) -> NDArray[np.int64]:
-        """Actions of the largest outputs: (S·N, obs) as for `infer`, to (S·N,)."""
+        """Choose the actions of the largest outputs: (S·N, obs) as for `infer`, to (S·N,)."""
         return self.infer(observations).argmax(dim=-1).flatten().cpu().numpy()
 
     def copy(self) -> Network:
-        """The same networks in a buffer of their own."""
+        """Copy the networks into a new buffer."""
         return Network(self.architecture, self.flat.clone())

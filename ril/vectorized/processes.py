@@ -1,4 +1,4 @@
-"""Objects that work side by side in processes of their own, such as agents of different seeds."""
+"""A pool of worker processes, each of which holds some objects, such as agents of some seeds."""
 
 from __future__ import annotations
 
@@ -20,32 +20,35 @@ from ril.io.signals import SIGNALS
 T = TypeVar("T")
 R = TypeVar("R")
 
-#: Arguments of a call besides the object, a row per object.
+#: Further arguments of a call, a row per object.
 Rows = Sequence[tuple[Any, ...]]
 
 
 def usable_processes(wanted: int | None) -> int:
-    """How many processes a run may use; None wants one per core.
+    """Decide how many processes a run may use.
 
-    A run that is part of a sweep is itself one of several processes, and uses no other.
+    A run of a sweep is itself one of several processes, so it uses no others.
+
+    Args:
+        wanted: number of processes; None is one per core.
     """
     if multiprocessing.parent_process() is not None:
         return 1
     return wanted or int(joblib.cpu_count())
 
 
-class Spread(Generic[T]):
+class WorkerPool(Generic[T]):
     """Objects that live in worker processes, each always in the same one.
 
-    Ctrl-C, SIGTERM and SIGHUP are left to the process that made them; the workers end with that,
-    or with this object. What goes to them and comes back is copied.
+    The workers ignore Ctrl-C, SIGTERM and SIGHUP, which the main process handles; they end with
+    it, or with this object. Arguments and results are copied.
 
     Args:
-        builders: make the objects, there where they are to live.
-        processes: workers at most; with 1 there are none, and the objects live here.
+        builders: functions that make the objects; each is called in its worker.
+        processes: the most workers to start; 1 starts none and keeps the objects in this process.
 
     Raises:
-        Exception: what a builder raised.
+        Exception: a builder raised it.
     """
 
     def __init__(self, builders: Sequence[Callable[[], T]], processes: int) -> None:
@@ -58,18 +61,18 @@ class Spread(Generic[T]):
     def each(
         self, function: Callable[Concatenate[T, ...], R], *arguments: Sequence[Any]
     ) -> list[R]:
-        """Call a function with each object, where that lives.
+        """Call a function with each object, in the worker that holds it.
 
         Args:
-            function: of a module or a class; takes the object first.
-            *arguments: what else it takes; of each an entry per object.
+            function: a function of a module or class, whose first argument is the object.
+            *arguments: its further arguments, each with an entry per object.
 
         Returns:
-            What it returned, in the order of the objects.
+            The results, in the order of the objects.
 
         Raises:
             UserError: a worker was killed.
-            Exception: what the function raised.
+            Exception: the function raised it.
         """
         rows = list(zip(*arguments, strict=True)) if arguments else [()] * self._objects
         count = max(1, len(self._workers))
@@ -77,17 +80,17 @@ class Spread(Generic[T]):
         return [answers[index % count][index // count] for index in range(self._objects)]
 
     def _ask(self, work: Callable[..., Any], requests: Rows) -> list[Any]:
-        """Have the workers work on a request each, all at once."""
+        """Send each worker one request, and wait for all answers."""
         if not self._workers:
             return [work(self._here, *request) for request in requests]
-        # Pickled here, since a Connection would share a tensor's memory instead of copying it.
+        # Pickled here, because a Connection would share a tensor's memory instead of copying it.
         try:
             for worker, request in zip(self._workers, requests, strict=True):
                 worker.send_bytes(pickle.dumps((work, request)))
             answers = [pickle.loads(worker.recv_bytes()) for worker in self._workers]
         except (EOFError, ConnectionError):
             raise UserError(
-                "a worker process was killed; with processes=1 there are none"
+                "a worker process was killed, perhaps for lack of memory; processes=1 uses none"
             ) from None
         for answer in answers:
             if isinstance(answer, Exception):
@@ -104,22 +107,22 @@ def _call(objects: list[T], function: Callable[Concatenate[T, ...], R], rows: Ro
 
 
 def _start_worker() -> Connection:
-    """A new process that works as `_ask` says, until the other end of its pipe is gone."""
-    context = multiprocessing.get_context("spawn")  # a fork of torch's threads may hang
+    """Start a process that answers requests of `_ask` until the other end of its pipe closes."""
+    context = multiprocessing.get_context("spawn")  # forking a process with threads may hang
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(theirs,))
     process.start()
     theirs.close()
-    # Python's exit waits for its processes; one that is stopped at once is not to.
+    # Python waits for its child processes at exit; an interrupted run must not wait.
     atexit.register(process.kill)
     return ours
 
 
 def _work(connection: Connection) -> None:
-    """What a worker does."""
+    """Answer requests from a connection until it closes."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    import torch  # takes seconds, in which signals are to be ignored already
+    import torch  # after the above, because it takes seconds, in which signals may arrive
 
     torch.set_num_threads(1)
     objects: list[Any] = []

@@ -1,4 +1,4 @@
-"""Episodes of many copies of one environment, played side by side."""
+"""Whole episodes in many copies of one environment, played side by side."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from ril.environments import Environment, Floats, Integers
 from ril.vectorized.copies import make_copies
 
-#: (K, obs) scaled observations and the step number to (K,) actions.
+#: From (K, obs) scaled observations and the number of the step to (K,) actions.
 Act = Callable[[Floats, int], Integers]
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """K episodes, padded to the longest.
+    """K episodes, padded to the length T of the longest.
 
     Attributes:
         observations: (K, T, obs) scaled states s_t.
         actions: (K, T).
-        rewards: (K, T), 0 beyond an episode's end.
+        rewards: (K, T), 0 after an episode's end.
         next_observations: (K, T, obs) scaled states s_{t+1}.
-        terminated: (K, T), true at a last step that the environment itself ended.
-        lengths: (K,) steps of each.
+        terminated: (K, T), true at a last step at which the environment ended the episode.
+        lengths: (K,) steps of each episode.
     """
 
     observations: Floats
@@ -43,7 +43,7 @@ class Episodes:
 
     @property
     def ends(self) -> NDArray[np.bool_]:
-        """(K,) whether the environment ended the episode, rather than the step limit."""
+        """(K,) whether the environment, not the step limit, ended the episode."""
         return self.terminated[np.arange(len(self.lengths)), self.lengths - 1]
 
     @property
@@ -56,7 +56,7 @@ class Environments:
     """K copies of an environment, each stepped only while its own episode lasts.
 
     Args:
-        environment: of which copies are made.
+        environment: what to copy.
         copies: K.
     """
 
@@ -69,10 +69,11 @@ class Environments:
         """Play one episode in each copy.
 
         Args:
-            act: chooses all copies' actions; its answer for copies that have ended is ignored.
-            reset_seeds: (K,) what each copy is reset with.
-            max_steps: T, the step at which all episodes are cut; the environment's own limit
-                if None.
+            act: chooses the actions of all copies; those of copies whose episode is over are
+                ignored.
+            reset_seeds: (K,) seeds of the resets.
+            max_steps: number of steps after which to stop every episode; the environment's own
+                limit if None.
         """
         count = self._count
         limit = max_steps or self.environment.max_episode_steps
@@ -91,12 +92,12 @@ class Environments:
         while running.size and step < limit:
             actions[step] = act(states[step], step)
             outcome = self._copies.step(running, actions[step, running])
-            rewards[step, running], ends, cuts = outcome
-            terminated[step, running] = ends
+            rewards[step, running], ended, truncated = outcome
+            terminated[step, running] = ended
             step += 1
             lengths[running] = step
-            if ends.any() or cuts.any():
-                running = running[~(ends | cuts)]
+            if ended.any() or truncated.any():
+                running = running[~(ended | truncated)]
             states[step] = self.environment.scale(self._copies.observations)
 
         by_copy = np.ascontiguousarray(states[: step + 1].swapaxes(0, 1))

@@ -1,4 +1,4 @@
-"""Environments that are stepped without end: each begins its next episode by itself."""
+"""Environments that reset themselves: each begins its next episode when one is over."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Step:
     """One step of K environments.
 
     Attributes:
-        next_observations: (K, obs) scaled s_{t+1}; of an episode that ended, its final state.
+        next_observations: (K, obs) scaled s_{t+1}; the final state where an episode is over.
         rewards: (K,).
         terminated: (K,) whether the environment ended the episode.
-        truncated: (K,) whether the step limit cut it.
+        truncated: (K,) whether the step limit truncated it.
     """
 
     next_observations: Floats
@@ -32,16 +32,16 @@ class Step:
 
 
 class SteppedEnvironments:
-    """K copies of an environment per seed; what one meets depends on its seed and number only.
+    """K copies of an environment per seed; a copy's episodes depend on its seed and number only.
 
-    Gymnasium's environments cannot be saved, but they can be repeated: the state of a copy is
-    the number of its episode and the actions since that began.
+    Gymnasium's environments cannot be saved, but their episodes can be replayed: the state of a
+    copy is the number of its episode and the actions in it so far.
 
     Args:
-        environment: of which copies are made.
+        environment: what to copy.
         seeds: S; copies of one seed lie side by side.
         copies: K per seed.
-        purpose: names the episodes; the same purpose gives the same starts.
+        purpose: names the episodes; the same purpose gives the same initial states.
 
     Attributes:
         observations: (S·K, obs) scaled current states.
@@ -59,7 +59,7 @@ class SteppedEnvironments:
         self._copies = make_copies(environment, count)
         self._episodes = [0] * count
         self._actions = np.zeros((environment.max_episode_steps, count), dtype=np.int64)
-        self._taken = np.zeros(count, dtype=np.int64)  # actions since the episode began
+        self._steps = np.zeros(count, dtype=np.int64)  # of the current episodes
         for index in range(count):
             self._begin(index)
         self.observations = environment.scale(self._copies.observations)
@@ -68,12 +68,18 @@ class SteppedEnvironments:
         """Reset a copy to the start of its current episode."""
         sequence = np.random.SeedSequence([*self._keys[index], self._episodes[index]])
         self._copies.reset(index, int(sequence.generate_state(1)[0] >> 1))
-        self._taken[index] = 0
+        self._steps[index] = 0
 
     def step(self, actions: Integers) -> Step:
-        """Take (S·K,) actions; `observations` then are the states to act in next."""
-        self._actions[self._taken, self._all] = actions
-        self._taken += 1
+        """Take one action in each copy, and reset the copies whose episodes are over.
+
+        `observations` then holds the states to act in next.
+
+        Args:
+            actions: (S·K,).
+        """
+        self._actions[self._steps, self._all] = actions
+        self._steps += 1
         rewards, terminated, truncated = self._copies.step(self._all, actions)
         following = self.environment.scale(self._copies.observations)
         self.observations = following
@@ -86,21 +92,21 @@ class SteppedEnvironments:
         return Step(following, rewards, terminated, truncated & ~terminated)
 
     def state_dict(self) -> dict[str, Any]:
-        """Which episode each copy is in, and how it came to where it is."""
-        taken = zip(self._actions.T, self._taken, strict=True)
+        """Return the number of each copy's episode and the actions in it so far."""
+        played = zip(self._actions.T, self._steps, strict=True)
         return {
             "episodes": list(self._episodes),
-            "actions": [actions[:count].tolist() for actions, count in taken],
+            "actions": [actions[:count].tolist() for actions, count in played],
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken, by playing the current episodes again."""
+        """Resume from a state that `state_dict` returned, by replaying the current episodes."""
         self._episodes = list(state["episodes"])
         for index, actions in enumerate(state["actions"]):
             self._begin(index)
             self._actions[: len(actions), index] = actions
-            self._taken[index] = len(actions)
-        for step in range(self._taken.max()):
-            going_on = np.flatnonzero(self._taken > step)
-            self._copies.step(going_on, self._actions[step, going_on])
+            self._steps[index] = len(actions)
+        for step in range(self._steps.max()):
+            running = np.flatnonzero(self._steps > step)
+            self._copies.step(running, self._actions[step, running])
         self.observations = self.environment.scale(self._copies.observations)

@@ -1,26 +1,33 @@
-"""One optimiser step for all seeds at once."""
+"""One optimizer step for all seeds at once."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from ril.vectorized.networks import Network
+from ril.vectorized.state import Stateful
 
 
-class ClippedAdam:
-    """Adam with its default values (§4.1) after clipping each gradient entry (§3.4).
+class ClippedAdam(Stateful):
+    """Adam with its default values (§4.1), after clipping each entry of the gradient (§3.4).
 
     Args:
-        network: whose parameters it changes, in place.
-        learning_rate: α of §4.1; may be changed between steps, and is not part of the state.
-        gradient_clip: every entry of the gradient is cut to [−clip, clip]; None cuts nothing.
-        beta1: how slowly the mean of the gradients moves.
+        network: the networks whose parameters are updated, in place.
+        learning_rate: α of §4.1; it may change between steps and is not part of the state.
+        gradient_clip: each entry of the gradient is clipped to [−clip, clip]; None does not clip.
+        beta1: decay rate of the running mean of the gradients.
+
+    Attributes:
+        steps: number of steps so far.
+        mean: (S, P) running mean of the gradients.
+        square: (S, P) running mean of the squared gradients.
     """
 
+    STATE: ClassVar = ("steps", "mean", "square")
     BETA2, EPSILON = 0.999, 1e-8
 
     def __init__(
@@ -39,11 +46,11 @@ class ClippedAdam:
         self.square = torch.zeros_like(network.flat)
 
     def step(self, losses: Tensor) -> None:
-        """Descend each seed's own loss.
+        """Take one step down each seed's own loss.
 
         Args:
-            losses: (S,), one per seed. Their sum has each seed's own gradient, since no
-                parameter is shared.
+            losses: (S,), one per seed. The gradient of their sum holds each seed's own gradient,
+                because the seeds share no parameters.
         """
         leaves = list(self.network.parameters.values())
         gradients = torch.autograd.grad(losses.sum(), leaves)
@@ -54,24 +61,27 @@ class ClippedAdam:
         self.steps += 1
 
     def scales(self) -> tuple[float, float]:
-        """What the next step divides its means by while they still remember their zeros."""
+        """Compute the next step's bias corrections.
+
+        Returns:
+            The divisors of `mean` and of the square root of `square`, which correct for their
+            initial value of 0.
+        """
         steps = self.steps + 1
         return 1 - self.beta1**steps, math.sqrt(1 - self.BETA2**steps)
 
     def change(self, gradient: Tensor, square_scale: float | Tensor) -> tuple[Tensor, Tensor]:
-        """Numerator and denominator, (S, P) each, of a step along a gradient (S, P)."""
+        """Update both running means, and compute the step except for its scale.
+
+        Args:
+            gradient: (S, P).
+            square_scale: the second of `scales`.
+
+        Returns:
+            The step's numerator and denominator, (S, P) each.
+        """
         if self.gradient_clip is not None:
             gradient = gradient.clamp(-self.gradient_clip, self.gradient_clip)
         self.mean.lerp_(gradient, 1 - self.beta1)
         self.square.mul_(self.BETA2).addcmul_(gradient, gradient, value=1 - self.BETA2)
         return self.mean, self.square.sqrt().div_(square_scale).add_(self.EPSILON)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Moments and step count."""
-        return {"steps": self.steps, "mean": self.mean, "square": self.square}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
-        self.steps = state["steps"]
-        self.mean.copy_(state["mean"])
-        self.square.copy_(state["square"])

@@ -54,7 +54,7 @@ def one_eager_model() -> Callable[[], None]:
 def batched(seeds: int, *, fused: bool) -> Callable[[], None]:
     """Return ril's same update of several networks together."""
     network = MLP(2, (HIDDEN, HIDDEN), 3, attention=False)
-    policy = Network.initialise(network, range(seeds), "policy", CPU)
+    policy = Network.initialize(network, range(seeds), "policy", CPU)
     memory = Replay(seeds, STORED, 2, CPU)
     for field in (memory.observations, memory.next_observations, memory.rewards):
         field.normal_()

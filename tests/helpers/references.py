@@ -1,4 +1,4 @@
-"""One seed at a time, from torch.nn and torch.optim: what the vectorised parts are held against."""
+"""One seed at a time, from torch.nn and torch.optim: references for the vectorized parts."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ class PlainKFAC:
         self.steps = 0
 
     def batch_factors(
-        self, x: Tensor, surprise: Callable[[Tensor, int], Tensor]
+        self, x: Tensor, log_prob: Callable[[Tensor, int], Tensor]
     ) -> list[tuple[Tensor, Tensor]]:
         """E[a aᵀ] and E[g gᵀ] of each layer, from one sample after the other."""
         sums: list[tuple[Tensor, Tensor]] = []
@@ -231,7 +231,7 @@ class PlainKFAC:
                 value = part(value)
                 if isinstance(part, nn.Linear):
                     outputs.append(value)
-            gradients = torch.autograd.grad(surprise(value, index), outputs)
+            gradients = torch.autograd.grad(log_prob(value, index), outputs)
             pairs = [
                 (torch.outer(a, a) / len(x), torch.outer(g, g) / len(x))
                 for a, g in zip(inputs, gradients, strict=True)
@@ -252,11 +252,11 @@ class PlainKFAC:
             found.append(torch.cat((layer.weight.grad.T.flatten(), layer.bias.grad)))
         return found
 
-    def step(self, x: Tensor, loss: Tensor, surprise: Callable[[Tensor, int], Tensor]) -> None:
-        """Descend a loss of the module's parameters; the Fisher matrix is that of surprise."""
+    def step(self, x: Tensor, loss: Tensor, log_prob: Callable[[Tensor, int], Tensor]) -> None:
+        """Take one step down a loss; the Fisher matrix is that of log_prob."""
         config = self.config
         self.steps += 1
-        batch = self.batch_factors(x, surprise)
+        batch = self.batch_factors(x, log_prob)
         decay = min(config.stats_decay, 1 - 1 / self.steps)
         before = self.factors or batch
         self.factors = [

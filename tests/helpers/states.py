@@ -1,4 +1,4 @@
-"""States of learners: what `state_dict` gives, as a checkpoint hands it on."""
+"""Copy and compare states of learners, as checkpoints store them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def copied(state: Any) -> Any:
-    """A state as torch.save and the safe torch.load hand it on."""
+    """Copy a state by torch.save and the safe torch.load."""
     buffer = io.BytesIO()
     torch.save(state, buffer)
     buffer.seek(0)
@@ -19,7 +19,7 @@ def copied(state: Any) -> Any:
 
 
 def assert_equal_states(found: Any, expected: Any, where: str = "state") -> None:
-    """Bit for bit, tensors too; NaN is NaN."""
+    """Assert that two states are bit-identical; NaN equals NaN."""
     assert type(found) is type(expected), where
     if isinstance(expected, Tensor):
         np.testing.assert_array_equal(found.numpy(), expected.numpy(), err_msg=where)
@@ -27,7 +27,7 @@ def assert_equal_states(found: Any, expected: Any, where: str = "state") -> None
         assert found.keys() == expected.keys(), where
         for name in expected:
             assert_equal_states(found[name], expected[name], f"{where}.{name}")
-    elif isinstance(expected, list):
+    elif isinstance(expected, list | tuple):
         assert len(found) == len(expected), where
         for index, (one, other) in enumerate(zip(found, expected, strict=True)):
             assert_equal_states(one, other, f"{where}[{index}]")

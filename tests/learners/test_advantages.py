@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ril.learners.advantages import generalised_advantages
+from ril.learners.advantages import generalized_advantages
 
 STEPS, COPIES = 12, 40
 GAMMA = 0.9
@@ -37,7 +37,7 @@ def by_the_sum(part: dict[str, np.ndarray], step: int, copy: int, gae_lambda: fl
 @pytest.mark.parametrize("gae_lambda", [0.0, 0.8, 1.0])
 def test_advantages_are_discounted_sums_of_errors(gae_lambda: float) -> None:
     part = rollout()
-    found = generalised_advantages(**part, gamma=GAMMA, gae_lambda=gae_lambda)
+    found = generalized_advantages(**part, gamma=GAMMA, gae_lambda=gae_lambda)
     expected = [
         [by_the_sum(part, step, copy, gae_lambda) for copy in range(COPIES)]
         for step in range(STEPS)
@@ -51,7 +51,7 @@ def test_with_lambda_1_they_are_n_step_returns_less_the_value() -> None:
     # A state's value is one, whether it was reached or left: but for an episode's end.
     over = part["terminated"] | part["truncated"]
     part["next_values"][:-1] = np.where(over[:-1], part["next_values"][:-1], part["values"][1:])
-    found = generalised_advantages(**part, gamma=GAMMA, gae_lambda=1.0) + part["values"]
+    found = generalized_advantages(**part, gamma=GAMMA, gae_lambda=1.0) + part["values"]
     for copy in range(COPIES):
         for step in range(STEPS):
             expected, discount = 0.0, 1.0
@@ -70,5 +70,5 @@ def test_only_a_cut_episode_is_worth_what_would_follow(ending: str, worth: float
     no = np.zeros((1, 1), dtype=bool)
     ended = {"terminated": no, "truncated": no, ending: ~no}
     one = np.ones((1, 1), dtype=np.float32)
-    found = generalised_advantages(one, 0 * one, 5 * one, **ended, gamma=GAMMA, gae_lambda=1.0)
+    found = generalized_advantages(one, 0 * one, 5 * one, **ended, gamma=GAMMA, gae_lambda=1.0)
     assert found.item() == pytest.approx(worth)

@@ -69,7 +69,7 @@ def test_each_seed_learns_its_own_labels() -> None:
     assert torch.equal(policy(observations.expand(2, -1, -1)).argmax(dim=-1), labels)
 
 
-def test_a_saved_state_goes_on_alike() -> None:
+def test_a_loaded_state_resumes_bit_identically() -> None:
     (cloning, policy), (resumed, restored) = learner(), learner(purpose="other")
     cloning.train(*expert())
     buffer = io.BytesIO()

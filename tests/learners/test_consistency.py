@@ -59,7 +59,7 @@ def config(**changes: object) -> ConsistencyConfig:
 def episodes(
     seeds: tuple[int, ...] = SEEDS, *, per_seed: int = 3, begin: int = 0, scale: float = 1.0
 ) -> Episodes:
-    """Random ones, which depend on their own seed alone; every other one is cut."""
+    """Random ones, which depend on their own seed alone; every other one is truncated."""
     length, count = 12, len(seeds) * per_seed
     drawn = []
     for seed in seeds:
@@ -96,20 +96,20 @@ def learner(
     architecture: Consistent = ARCHITECTURE,
     filled: bool = True,
     recent: int | None = None,
-    fused: bool = False,
+    compile_step: bool = False,
     **changes: object,
 ) -> ConsistentLearning:
     """A learner; a filled one remembers three episodes of each seed."""
-    network = Network.initialise(architecture, seeds, "policy", CPU)
+    network = Network.initialize(architecture, seeds, "policy", CPU)
     with torch.no_grad():
         for name, parameter in network.parameters.items():
             if name.endswith("gamma"):  # at 0, Adam makes whole steps of what is but rounding
                 parameter.fill_(0.5)
     replay = Replay(len(seeds), 60, SIZE, CPU)
-    # Empty slots must never be learnt from.
+    # Empty slots must never be used.
     replay.observations.fill_(torch.nan)
     learning = ConsistentLearning(
-        network, replay, config(**changes), seeds, recent=recent, fused=fused
+        network, replay, config(**changes), seeds, recent=recent, compile_step=compile_step
     )
     if filled:
         learning.remember(episodes(seeds))
@@ -149,10 +149,10 @@ def drawn(learning: ConsistentLearning, numbers: Any) -> Tensor:
 
 
 @pytest.mark.parametrize(("gap", "recent"), [(None, None), (0.1, None), (0.1, 7)])
-@pytest.mark.parametrize("labelled", [True, False])
+@pytest.mark.parametrize("labeled", [True, False])
 @pytest.mark.parametrize("loss", ["huber", "mse"])
 def test_training_is_that_of_one_agent_per_seed(
-    loss: str, labelled: bool, gap: float | None, recent: int | None
+    loss: str, labeled: bool, gap: float | None, recent: int | None
 ) -> None:
     learning = learner(loss=loss, gap=gap, recent=recent)
     # Targets further than the gap below the best action's value; of them those of that action.
@@ -169,8 +169,8 @@ def test_training_is_that_of_one_agent_per_seed(
         learning.train(
             updates,
             states,
-            labels if labelled else None,
-            weights[updates] if labelled else None,
+            labels if labeled else None,
+            weights[updates] if labeled else None,
             rates[updates],
         )
         for updates in weights
@@ -204,7 +204,7 @@ def test_training_is_that_of_one_agent_per_seed(
                 values = agent(here)
                 td = distance(values[torch.arange(BATCH), actions], target)
                 total, totals[0, seed] = td, totals[0, seed] + td.detach()
-                if labelled:
+                if labeled:
                     logits = agent(states[of_expert]) / TEMPERATURE
                     imitated = functional.cross_entropy(
                         logits, labels[seed, of_expert], reduction="none"
@@ -225,7 +225,7 @@ def test_training_is_that_of_one_agent_per_seed(
     torch.testing.assert_close(
         learning.policy.flat, of_averages[:, OF_VALUE:], rtol=1e-3, atol=1e-5
     )
-    torch.testing.assert_close(learning.state_dict()["average"], of_averages, rtol=1e-3, atol=1e-5)
+    torch.testing.assert_close(learning.average.flat, of_averages, rtol=1e-3, atol=1e-5)
 
 
 def level(network: Network, value: float) -> None:
@@ -275,16 +275,6 @@ def test_a_seeds_training_does_not_depend_on_other_seeds() -> None:
         assert torch.equal(of_several[1], of_alone[0])
 
 
-@pytest.mark.parametrize("labelled", [True, False])
-def test_no_updates_change_no_parameter(labelled: bool) -> None:
-    learning = learner()
-    states, labels = expert()
-    before = copied(learning.state_dict())
-    losses = learning.train(0, states, labels if labelled else None, weighing(1.0), RATE)
-    assert [loss.tolist() for loss in losses] == [[0.0, 0.0], [0.0, 0.0]]
-    assert_equal_states(learning.state_dict(), before)
-
-
 def test_without_weight_labels_leave_the_training_as_without_them() -> None:
     with_labels, without = learner(), learner()
     states, labels = expert()
@@ -309,7 +299,7 @@ def test_weight_makes_a_difference() -> None:
 
 
 def test_a_label_without_weight_is_not_imitated() -> None:
-    """Whatever it says: only the others are learnt from."""
+    """Its value does not matter: training uses the others only."""
     states, labels = expert()
     weights = weighing(1.0, labels)
     weights[:, ::2] = 0.0
@@ -370,20 +360,20 @@ def test_rewards_are_remembered_in_units_of_their_size_in_the_first_episodes() -
         own = of_seed(first, seed)
         unit = mean_size(own)
         assert unit > 3
-        assert learning.unit[seed].item() == pytest.approx(unit)
+        assert learning.reward_scale[seed].item() == pytest.approx(unit)
         expected = rewards_of_a_loop(own, unit)
         assert rewards_in(learning.replay, seed) == pytest.approx(expected, rel=1e-4, abs=1e-5)
-    assert learning.unit[0] != learning.unit[1]
+    assert learning.reward_scale[0] != learning.reward_scale[1]
 
 
 def test_later_episodes_do_not_change_the_unit() -> None:
     learning = learner(filled=False)
     first, later = episodes(scale=7.0), episodes(begin=1, scale=0.01)
     learning.remember(first)
-    before, stored = learning.unit.clone(), learning.replay.sizes.copy()
+    before, stored = learning.reward_scale.clone(), learning.replay.sizes.copy()
     learning.train(3, *expert(), weighing(1.0), RATE)
     learning.remember(later)
-    assert torch.equal(learning.unit, before)
+    assert torch.equal(learning.reward_scale, before)
     for seed in range(len(SEEDS)):
         found = rewards_in(learning.replay, seed)[stored[seed] :]
         expected = rewards_of_a_loop(of_seed(later, seed), mean_size(of_seed(first, seed)))
@@ -393,9 +383,9 @@ def test_later_episodes_do_not_change_the_unit() -> None:
 def test_where_all_rewards_are_0_the_unit_is_1_for_good() -> None:
     learning = learner(filled=False)
     learning.remember(episodes(scale=0.0))
-    assert learning.unit.tolist() == [1.0, 1.0]
+    assert learning.reward_scale.tolist() == [1.0, 1.0]
     learning.remember(episodes(begin=1, scale=100.0))
-    assert learning.unit.tolist() == [1.0, 1.0]
+    assert learning.reward_scale.tolist() == [1.0, 1.0]
 
 
 def policy_stream_of(flat: Tensor) -> Tensor:
@@ -420,7 +410,7 @@ def test_the_policy_is_that_of_the_average_and_moves_with_it() -> None:
     learning = learner()
     before = logits_of(learning)
     learning.train(10, *expert(), weighing(1.0), RATE)
-    average = learning.state_dict()["average"]
+    average = learning.average.flat
     torch.testing.assert_close(logits_of(learning), policy_stream_of(average))
     assert not torch.allclose(logits_of(learning), before)
     assert not torch.allclose(logits_of(learning), policy_stream_of(learning.network.flat))
@@ -429,7 +419,7 @@ def test_the_policy_is_that_of_the_average_and_moves_with_it() -> None:
 def test_the_policy_lies_in_the_averages_memory() -> None:
     learning = learner()
     learning.policy.flat.fill_(0.25)
-    average = learning.state_dict()["average"]
+    average = learning.average.flat
     assert (average[:, OF_VALUE:] == 0.25).all()
     assert not (average[:, :OF_VALUE] == 0.25).any()
 
@@ -440,7 +430,7 @@ def test_where_the_average_moves_all_the_way_the_policy_is_the_networks_own() ->
     torch.testing.assert_close(learning.policy.flat, learning.network.flat[:, OF_VALUE:])
 
 
-def test_a_saved_state_goes_on_alike() -> None:
+def test_a_loaded_state_resumes_bit_identically() -> None:
     learning = learner()
     states, labels = expert()
     learning.train(6, states, labels, weighing(1.0), RATE)
@@ -462,35 +452,35 @@ def test_a_saved_state_goes_on_alike() -> None:
 AS_CONFIGURED = Consistent(MLP(SIZE, (64, 64), 1), MLP(SIZE, (8, 8), ACTIONS), 0.1, 1.0)
 
 
-def trained(seeds: tuple[int, ...], labelled: bool, *, fused: bool) -> list[Tensor]:
+def trained(seeds: tuple[int, ...], labeled: bool, *, compile_step: bool) -> list[Tensor]:
     """Parameters of network and average, and losses, after two parts of a training."""
     learning = learner(
         seeds,
         architecture=AS_CONFIGURED,
         recent=10,
-        fused=fused,
+        compile_step=compile_step,
         batch_size=64,
         gap=0.3,
     )
     states, labels = expert(seeds)
-    given = labels if labelled else None
+    given = labels if labeled else None
     losses = [
         torch.stack(learning.train(updates, states, given, weighing(weight, labels), rate))
         for updates, weight, rate in ((12, 0.7, 1e-3), (8, 0.2, 3e-4))
     ]
-    return [learning.network.flat, learning.state_dict()["average"], *losses]
+    return [learning.network.flat, learning.average.flat, *losses]
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["labelled", "rewards alone"])
+@pytest.fixture(scope="module", params=[True, False], ids=["labeled", "rewards alone"])
 def among(request: pytest.FixtureRequest) -> tuple[bool, list[Tensor]]:
     """Whether there are labels, and what a compiled training of three seeds gave."""
-    return request.param, trained((3, 5, 9), request.param, fused=True)
+    return request.param, trained((3, 5, 9), request.param, compile_step=True)
 
 
 @needs_compiler
 def test_compiled_training_is_the_eager_one_but_for_rounding(among: Any) -> None:
-    labelled, found = among
-    expected = trained((3, 5, 9), labelled, fused=False)
+    labeled, found = among
+    expected = trained((3, 5, 9), labeled, compile_step=False)
     before = learner((3, 5, 9), architecture=AS_CONFIGURED).network.flat
     assert (expected[0] - before).abs().max() > 0.01  # many times the tolerance
     assert not all(map(torch.equal, found, expected))  # so it was compiled
@@ -500,8 +490,8 @@ def test_compiled_training_is_the_eager_one_but_for_rounding(among: Any) -> None
 
 @needs_compiler
 def test_a_seeds_compiled_training_does_not_depend_on_other_seeds(among: Any) -> None:
-    labelled, (network, average, *losses) = among
-    alone_network, alone_average, *alone_losses = trained((5,), labelled, fused=True)
+    labeled, (network, average, *losses) = among
+    alone_network, alone_average, *alone_losses = trained((5,), labeled, compile_step=True)
     assert torch.equal(network[1], alone_network[0])
     assert torch.equal(average[1], alone_average[0])
     for of_several, of_alone in zip(losses, alone_losses, strict=True):

@@ -142,7 +142,7 @@ def test_two_clouds_are_told_apart() -> None:
     assert discriminator.rewards(generated).mean() < 0.1  # D near 0
 
 
-def test_a_saved_state_goes_on_alike() -> None:
+def test_a_loaded_state_resumes_bit_identically() -> None:
     discriminator, resumed = learner(), learner(purpose="other")
     discriminator.train(*clouds())
     resumed.load_state_dict(copied(discriminator.state_dict()))

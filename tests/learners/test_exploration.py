@@ -10,7 +10,7 @@ from helpers.states import copied
 from torch import Tensor
 
 from ril.config.schema import Config
-from ril.learners.exploration import Explorer, exploration_ratio, explore, sample_softmax
+from ril.learners.exploration import Explorer, epsilon_greedy, exploration_ratio, sample_softmax
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
 
@@ -45,7 +45,7 @@ UNIFORM = torch.rand(2, 2, 50, generator=torch.Generator().manual_seed(2))
 
 
 def explored(epsilon: list[float], kind: str) -> Tensor:
-    return explore(LOGITS, torch.tensor(epsilon), UNIFORM, kind)
+    return epsilon_greedy(LOGITS, torch.tensor(epsilon), UNIFORM, kind)
 
 
 @pytest.mark.parametrize("kind", ["softmax", "uniform"])
@@ -59,7 +59,7 @@ def test_with_epsilon_one_actions_are_softmax_samples() -> None:
 
 def test_with_epsilon_one_actions_are_uniform() -> None:
     grid = ((torch.arange(600) + 0.5) / 600).expand(2, 1, 600)
-    actions = explore(torch.randn(1, 600, 3), torch.ones(1), grid, "uniform")
+    actions = epsilon_greedy(torch.randn(1, 600, 3), torch.ones(1), grid, "uniform")
     assert torch.bincount(actions.flatten()).tolist() == [200] * 3
 
 
@@ -67,7 +67,7 @@ def test_epsilon_is_the_chance_to_explore() -> None:
     whether = ((torch.arange(1000) + 0.5) / 1000)[None]
     what = torch.full((1, 1000), BELOW_ONE)  # the last action
     logits = torch.tensor([9.0, 0.0]).expand(1, 1000, 2)
-    actions = explore(logits, torch.tensor([0.3]), torch.stack((whether, what)), "uniform")
+    actions = epsilon_greedy(logits, torch.tensor([0.3]), torch.stack((whether, what)), "uniform")
     assert actions.sum().item() == 300
 
 
@@ -108,7 +108,7 @@ def explorer(quick: Any, make_task: Callable[[Config], Task]) -> Callable[..., E
     def made(*overrides: str) -> Explorer:
         config = quick("seeds=[3,5]", *overrides)
         task = make_task(config)
-        policy = Network.initialise(MLP(4, (8,), 2), task.seeds, "policy", task.device)
+        policy = Network.initialize(MLP(4, (8,), 2), task.seeds, "policy", task.device)
         return Explorer(config.method.exploration, task, policy)
 
     return made
@@ -142,7 +142,7 @@ def test_each_episode_has_a_start_of_its_own(explorer: Any) -> None:
     assert len(np.unique(starts, axis=0)) == 10
 
 
-def test_an_explorers_saved_state_goes_on_alike(explorer: Any) -> None:
+def test_an_explorers_loaded_state_resumes_bit_identically(explorer: Any) -> None:
     one, resumed = explorer(), explorer()
     for _ in range(3):
         one.play(np.ones(2))

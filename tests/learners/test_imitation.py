@@ -27,7 +27,7 @@ def make(quick: Any, make_task: Callable[[Config], Task]) -> Make:
         config = quick("method=iupe", *overrides)
         task = make_task(config)
         topology = mlp(config.method.network, 4, 2)
-        policy = Network.initialise(topology, task.seeds, "policy", task.device)
+        policy = Network.initialize(topology, task.seeds, "policy", task.device)
         learner = SelfSupervisedImitation(config.method, task, policy)
         learner.generate_pre()
         return learner

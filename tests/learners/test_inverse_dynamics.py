@@ -80,7 +80,7 @@ def test_change_inputs_are_the_state_and_its_change() -> None:
 
 def test_standardised_inputs_have_mean_zero_and_deviation_one() -> None:
     dynamics, batch = model(), random_transitions()
-    dynamics.standardise(batch)
+    dynamics.standardize(batch)
     features = torch.cat((batch.observations, batch.next_observations), dim=-1)
     z = (features - features.mean(dim=1, keepdim=True)) / features.std(dim=1, keepdim=True)
     expected = dynamics.network(z)
@@ -90,7 +90,7 @@ def test_standardised_inputs_have_mean_zero_and_deviation_one() -> None:
 
 def test_the_change_alone_can_be_standardised() -> None:
     dynamics, batch = model(inputs="change", standardise="change"), random_transitions()
-    dynamics.standardise(batch)
+    dynamics.standardize(batch)
     change = batch.next_observations - batch.observations
     z = (change - change.mean(dim=1, keepdim=True)) / change.std(dim=1, keepdim=True)
     expected = dynamics.network(torch.cat((batch.observations, z), dim=-1))
@@ -101,7 +101,7 @@ def test_the_change_alone_can_be_standardised() -> None:
 def test_a_constant_input_is_not_divided_by_zero() -> None:
     dynamics, batch = model(), random_transitions()
     batch.observations[..., 0] = 0.25
-    dynamics.standardise(batch)
+    dynamics.standardize(batch)
     assert dynamics(batch.observations, batch.next_observations).isfinite().all()
 
 
@@ -149,9 +149,9 @@ def test_training_finds_which_action_leads_where(inputs: str) -> None:
     assert torch.equal(labels, batch.actions)
 
 
-def test_a_saved_state_goes_on_alike() -> None:
+def test_a_loaded_state_resumes_bit_identically() -> None:
     dynamics, resumed = model(), model(purpose="other")
-    dynamics.standardise(random_transitions())
+    dynamics.standardize(random_transitions())
     dynamics.train(selection())
     buffer = io.BytesIO()
     torch.save(dynamics.state_dict(), buffer)

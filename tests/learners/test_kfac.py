@@ -125,11 +125,11 @@ def test_updates_are_those_of_a_whole_matrix_per_layer(
 
 
 def per_sample_gradients(network: Network, x: Tensor, noise: Tensor) -> Tensor:
-    """(S, B, P) of the surprise at each sample."""
+    """(S, B, P) gradients of each sample's log-probability."""
     found = []
     for index in range(x.shape[1]):
-        surprise = (network(x[:, index, None])[:, 0] * noise[:, index]).sum()
-        gradients = torch.autograd.grad(surprise, list(network.parameters.values()))
+        log_prob = (network(x[:, index, None])[:, 0] * noise[:, index]).sum()
+        gradients = torch.autograd.grad(log_prob, list(network.parameters.values()))
         found.append(torch.cat([g.flatten(1) for g in gradients], dim=1))
     return torch.stack(found, dim=1)
 
@@ -176,8 +176,8 @@ def test_a_step_within_the_trust_region_is_whole() -> None:
     whole = train(optimizer(kl_clip=1e9))
     size = quadratic(whole) / 2
     assert torch.equal(train(optimizer(kl_clip=1.01 * float(size.max()))), whole)
-    cut = train(optimizer(kl_clip=0.99 * float(size.min())))
-    assert (cut.norm(dim=1) < whole.norm(dim=1)).all()
+    clipped = train(optimizer(kl_clip=0.99 * float(size.min())))
+    assert (clipped.norm(dim=1) < whole.norm(dim=1)).all()
 
 
 def test_each_seed_has_a_trust_region_of_its_own() -> None:
@@ -209,7 +209,7 @@ def test_without_a_gradient_nothing_moves() -> None:
     assert torch.equal(kfac.network.flat, random_network(SMALL, SEEDS).flat)
 
 
-def test_a_saved_state_goes_on_alike() -> None:
+def test_a_loaded_state_resumes_bit_identically() -> None:
     changes = {"eigen_interval": 4, "momentum": 0.9, "kl_clip": 1e-3}
     kfac, resumed = optimizer(**changes), optimizer(**changes)
     train(kfac, 3)

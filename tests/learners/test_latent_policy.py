@@ -14,13 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from ril.learners.latent_policy import (
+from ril.learners.latent_policy import latent_loss, nearest_latents
+from ril.vectorized.latent_networks import (
     ActionRemapping,
     LatentDynamics,
     LatentPolicy,
     Predictions,
-    latent_loss,
-    nearest_latents,
 )
 from ril.vectorized.networks import Network
 from ril.vectorized.updates import ClippedAdam
@@ -135,7 +134,7 @@ def test_the_second_term_does_not_reach_the_generator() -> None:
         for name, gradient in zip(network.parameters, gradients, strict=True)
     }
     generator = ("embedding", "joint", "generator0", "generator1")
-    # Rounding is all that is left of the first term, which is added and taken away again.
+    # Rounding is all that is left of the first term, which is added and subtracted again.
     assert all(v < 1e-4 for name, v in largest.items() if name.startswith(generator))
     assert all(v > 1e-2 for name, v in largest.items() if not name.startswith(generator))
 
@@ -224,7 +223,7 @@ MOVES = torch.tensor([[0.5, 0.0, 0.0, 0.0], [0.0, -0.5, 0.0, 0.0], [0.0, 0.0, 0.
 def test_a_world_of_separable_moves_is_told_apart() -> None:
     # Which of three moves the expert makes is seen from its state.
     small = LatentDynamics(OBS, Z, encoder=(64, 128), generator=64, negative_slope=0.2)
-    network = Network.initialise(small, range(S), "tests", torch.device("cpu"))
+    network = Network.initialize(small, range(S), "tests", torch.device("cpu"))
     x = states(rows=150)
     moves = x[..., :3].argmax(dim=-1)
     optimizer = ClippedAdam(network, 1e-3, beta1=0.5)

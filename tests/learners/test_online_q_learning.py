@@ -42,7 +42,7 @@ def make(quick: Any, make_task: Callable[[Config], Task]) -> Make:
         task = dataclasses.replace(make_task(config), seeds=seeds)
         environment = task.environment
         architecture = MLP(environment.observation_size, (8,), environment.action_count)
-        policy = Network.initialise(architecture, seeds, "policy", task.device)
+        policy = Network.initialize(architecture, seeds, "policy", task.device)
         q_learning: Any = config.method.q_learning
         return OnlineQLearning(q_learning, task, policy, kind, total_steps)
 
@@ -71,7 +71,7 @@ class PlainDQN:
         self.batches = Streams([self.seed], "replay batches")
         self.actions: list[int] = []
         self.memory: list[tuple[np.ndarray, int, float, np.ndarray, bool]] = []
-        self.losses: dict[int, float] = {}  # by the steps that had been taken
+        self.losses: dict[int, float] = {}  # by the number of steps so far
         self.returns: dict[int, float] = {}  # of episodes, by the steps after which they ended
         self.ends = {"terminated": 0, "truncated": 0}
         self.updates = 0
@@ -257,19 +257,19 @@ def test_it_learns_every_so_many_steps_once_it_has_started(
     assert all(updates == 3 for updates, _ in calls)
 
 
-PRIORITISED = ("method.q_learning.replay.alpha=0.6",)
+PRIORITIZED = ("method.q_learning.replay.alpha=0.6",)
 
 
 def test_beta_rises_along_a_line_to_one_at_the_last_step(make: Make, calls: list[Any]) -> None:
     settings = "method.q_learning.train_freq=10", "method.q_learning.learning_starts=0"
-    online = make(*PRIORITISED, *settings, "method.q_learning.replay.beta=0.4", total_steps=40)
+    online = make(*PRIORITIZED, *settings, "method.q_learning.replay.beta=0.4", total_steps=40)
     online.advance(50, falling(50))
     found = [beta for _, beta in calls]
     assert found == pytest.approx([0.55, 0.7, 0.85, 1.0, 1.0])
 
 
 def test_what_is_remembered_gets_a_priority(make: Make) -> None:
-    online = make(*PRIORITISED, "method.q_learning.learning_starts=1000")
+    online = make(*PRIORITIZED, "method.q_learning.learning_starts=1000")
     online.advance(30, falling(30))
     assert online.learner.priorities is not None
     weights = online.learner.priorities.weights
@@ -278,7 +278,7 @@ def test_what_is_remembered_gets_a_priority(make: Make) -> None:
 
 
 def test_learning_gives_what_was_drawn_other_priorities(make: Make) -> None:
-    online = make(*PRIORITISED)
+    online = make(*PRIORITIZED)
     online.advance(40, falling(40))
     assert online.learner.priorities is not None
     weights = online.learner.priorities.weights[:, :40]
@@ -320,8 +320,8 @@ def test_without_epsilon_actions_are_greedy(make: Make, kind: str) -> None:
 
 OPTIONS = {
     "plain": (),
-    "prioritised": (*PRIORITISED, "method.q_learning.double=true"),
-    "mountaincar": (*MOUNTAINCAR, *PRIORITISED),
+    "prioritized": (*PRIORITIZED, "method.q_learning.double=true"),
+    "mountaincar": (*MOUNTAINCAR, *PRIORITIZED),
 }
 
 
@@ -338,13 +338,13 @@ def test_steps_in_two_parts_are_those_in_one(make: Make, options: Any, kind: str
 
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
-def test_a_state_saved_in_mid_episode_goes_on_alike(make: Make, options: Any) -> None:
+def test_a_state_saved_in_mid_episode_resumes_bit_identically(make: Make, options: Any) -> None:
     online, resumed = make(*options), make(*options)
     epsilon = falling(230)
     online.advance(110, epsilon[:110])
     resumed.advance(31, epsilon[:31])  # what was done before leaves no trace
     state = copied(online.state_dict())
-    assert all(state["environments"]["actions"])  # so that both seeds are in mid-episode
+    assert all(state["_environments"]["actions"])  # so that both seeds are in mid-episode
     resumed.load_state_dict(state)
     resumed.policy.flat.copy_(online.policy.flat)
     found, expected = (each.advance(230, epsilon[110:]) for each in (resumed, online))
@@ -368,5 +368,21 @@ def test_a_seeds_steps_do_not_depend_on_other_seeds(make: Make, options: Any, ki
 
 
 def test_a_memory_of_no_size_is_refused(make: Make) -> None:
-    with pytest.raises(UserError, match=r"capacity=null: must be given"):
+    with pytest.raises(UserError, match=r"capacity=null: must be a number"):
         make("method.q_learning.replay.capacity=null")
+
+
+@pytest.mark.parametrize("total_steps", [60, 103])
+def test_whether_compiling_pays_does_not_depend_on_the_number_of_seeds(
+    make: Make, monkeypatch: pytest.MonkeyPatch, total_steps: int
+) -> None:
+    asked = []
+
+    def asking(wanted: Any, updates: int) -> bool:
+        asked.append(updates)
+        return False
+
+    monkeypatch.setattr("ril.learners.online_q_learning.worth_compiling", asking)
+    config = make(total_steps=total_steps).config
+    make(total_steps=total_steps, seeds=(3,))
+    assert asked == [config.updates * (total_steps // config.train_freq)] * 2

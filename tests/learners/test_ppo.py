@@ -136,7 +136,7 @@ def learnt_by_sb3(
     return model, rollouts.seen
 
 
-# MountainCar's episodes are cut after 200 steps: in a rollout's middle, and at its end.
+# MountainCar's episodes are truncated after 200 steps: in a rollout's middle, and at its end.
 TASKS = [("cartpole", 80), ("mountaincar", 160), ("mountaincar", 100)]
 
 
@@ -147,8 +147,10 @@ def test_with_the_environments_rewards_it_is_what_sb3_learns(
 ) -> None:
     settings = config(n_steps=n_steps, batch_size=20)
     model, expected = learnt_by_sb3(settings, environments[name], 3, zoo=zoo)
-    falls_over = 3 * n_steps * 2 if zoo else None
-    agent = PPOAgent(settings, environments[name], SEED, normalize=zoo, falls_over=falls_over)
+    schedule_steps = 3 * n_steps * 2 if zoo else None
+    agent = PPOAgent(
+        settings, environments[name], SEED, normalize=zoo, schedule_steps=schedule_steps
+    )
     for reference in expected:
         observations, actions = agent.collect()
         np.testing.assert_array_equal(
@@ -165,12 +167,12 @@ def test_with_the_environments_rewards_it_is_what_sb3_learns(
 
 
 def test_a_rate_that_has_fallen_to_0_stays_there(cartpole: Environment) -> None:
-    agent = PPOAgent(config(), cartpole, SEED, falls_over=100)  # of rollouts of 64
+    agent = PPOAgent(config(), cartpole, SEED, schedule_steps=100)  # of rollouts of 64
     rounds(agent, 1)
-    learnt = parameters(agent.model)
+    trained = parameters(agent.model)
     rounds(agent, 2)
-    assert torch.equal(parameters(agent.model), learnt)
-    assert not torch.equal(parameters(PPOAgent(config(), cartpole, SEED).model), learnt)
+    assert torch.equal(parameters(agent.model), trained)
+    assert not torch.equal(parameters(PPOAgent(config(), cartpole, SEED).model), trained)
 
 
 def test_only_a_cut_episode_is_worth_more_than_its_rewards(mountaincar: Environment) -> None:
@@ -332,9 +334,9 @@ def test_agents_of_other_seeds_differ(cartpole: Environment) -> None:
     assert (one.collect()[0] != other.collect()[0]).all(axis=1).any()
 
 
-@pytest.mark.parametrize("zoo", [{}, {"normalize": True, "falls_over": 1000}])
+@pytest.mark.parametrize("zoo", [{}, {"normalize": True, "schedule_steps": 1000}])
 @pytest.mark.parametrize("name", ["cartpole", "mountaincar"])
-def test_a_saved_state_goes_on_alike(
+def test_a_loaded_state_resumes_bit_identically(
     environments: dict[str, Environment], name: str, zoo: dict[str, Any]
 ) -> None:
     settings = config(n_steps=120)

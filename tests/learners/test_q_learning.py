@@ -40,7 +40,7 @@ def memory(capacity: int = 40, lengths: tuple[int, int] = (30, 20)) -> Replay:
     numbers = np.random.default_rng(0)
     states = numbers.normal(size=(2, 30, 2)).astype(np.float32)
     replay = Replay(2, capacity, 2, torch.device("cpu"))
-    replay.observations.fill_(torch.nan)  # empty slots must never be learnt from
+    replay.observations.fill_(torch.nan)  # empty slots must never be used
     replay.append(
         Episodes(
             states,
@@ -82,11 +82,11 @@ def test_training_is_that_of_one_dqn_per_seed(loss: str, target_interval: int) -
                 at = drawn[seed, update]
                 with torch.no_grad():
                     best = targets[seed](replay.next_observations[seed, at]).max(dim=1).values
-                    goes_on = 1 - replay.terminated[seed, at]
-                    target = replay.rewards[seed, at] + 0.9 * goes_on * best
+                    not_terminal = 1 - replay.terminated[seed, at]
+                    target = replay.rewards[seed, at] + 0.9 * not_terminal * best
                 values = module(replay.observations[seed, at])
-                taken = values[torch.arange(8), replay.actions[seed, at]]
-                optimizers[seed].step(distance(taken, target))
+                chosen = values[torch.arange(8), replay.actions[seed, at]]
+                optimizers[seed].step(distance(chosen, target))
             step += 1
     expected = torch.stack([flat_of(module) for module in modules])
     torch.testing.assert_close(policy.flat, expected, rtol=1e-3, atol=1e-5)
@@ -103,22 +103,15 @@ def test_training_gives_the_mean_loss_of_each_seed() -> None:
             best = module(replay.next_observations[seed, at]).max(dim=1).values
             target = replay.rewards[seed, at] + 0.9 * (1 - replay.terminated[seed, at]) * best
             values = module(replay.observations[seed, at])
-            taken = values[torch.arange(500), replay.actions[seed, at]]
-            expected.append(functional.huber_loss(taken, target))
+            chosen = values[torch.arange(500), replay.actions[seed, at]]
+            expected.append(functional.huber_loss(chosen, target))
     torch.testing.assert_close(found, torch.stack(expected))
-
-
-def test_no_updates_change_nothing() -> None:
-    q_learning, policy = learner(config())
-    before = policy.flat.clone()
-    assert q_learning.train(0).tolist() == [0.0, 0.0]
-    assert torch.equal(policy.flat, before)
 
 
 STORED, ALPHA = 30, 0.6
 
 
-def prioritised(
+def prioritized(
     settings: QLearningConfig, *, double: bool = False, purpose: str = "replay batches"
 ) -> tuple[QLearning, Network]:
     """A learner of two full memories with priorities."""
@@ -135,7 +128,7 @@ def prioritised(
 def test_prioritised_training_is_that_of_one_agent_per_seed(
     target_interval: int, double: bool
 ) -> None:
-    q_learning, policy = prioritised(config(target_interval=target_interval), double=double)
+    q_learning, policy = prioritized(config(target_interval=target_interval), double=double)
     modules = copies_of(policy)
     betas = {9: 0.4, 7: 0.8}  # by the number of updates that they hold for
     losses = [q_learning.train(updates, beta) for updates, beta in betas.items()]
@@ -161,15 +154,15 @@ def test_prioritised_training_is_that_of_one_agent_per_seed(
                     following = replay.next_observations[seed, at]
                     aimed = targets[seed](following)
                     chosen = (module(following) if double else aimed).argmax(dim=1)
-                    goes_on = 1 - replay.terminated[seed, at]
+                    not_terminal = 1 - replay.terminated[seed, at]
                     best = aimed[torch.arange(8), chosen]
-                    target = replay.rewards[seed, at] + 0.9 * goes_on * best
+                    target = replay.rewards[seed, at] + 0.9 * not_terminal * best
                 values = module(replay.observations[seed, at])
-                taken = values[torch.arange(8), replay.actions[seed, at]]
-                each = functional.huber_loss(taken, target, reduction="none")
+                chosen = values[torch.arange(8), replay.actions[seed, at]]
+                each = functional.huber_loss(chosen, target, reduction="none")
                 optimizers[seed].step((torch.from_numpy(correction).float() * each).mean())
                 total[seed] += each.mean().item()
-                priorities[seed, at] = (taken - target).abs().detach().numpy() + 1e-6
+                priorities[seed, at] = (chosen - target).abs().detach().numpy() + 1e-6
             step += 1
         torch.testing.assert_close(found, total / updates, rtol=1e-3, atol=1e-5)
     expected = torch.stack([flat_of(module) for module in modules])
@@ -180,7 +173,7 @@ def test_prioritised_training_is_that_of_one_agent_per_seed(
 
 
 def after_training(beta: float) -> torch.Tensor:
-    q_learning, policy = prioritised(config())
+    q_learning, policy = prioritized(config())
     q_learning.train(4)  # so that priorities differ
     q_learning.train(1, beta)
     return policy.flat
@@ -193,14 +186,16 @@ def test_beta_makes_a_difference() -> None:
 def test_a_double_target_makes_a_difference() -> None:
     flats = []
     for double in (False, True):
-        q_learning, policy = prioritised(config(target_interval=20), double=double)
+        q_learning, policy = prioritized(config(target_interval=20), double=double)
         q_learning.train(10)
         flats.append(policy.flat)
     assert not torch.equal(*flats)
 
 
-@pytest.mark.parametrize("make", [learner, prioritised])
-def test_a_saved_state_goes_on_alike(make: Callable[..., tuple[QLearning, Network]]) -> None:
+@pytest.mark.parametrize("make", [learner, prioritized])
+def test_a_loaded_state_resumes_bit_identically(
+    make: Callable[..., tuple[QLearning, Network]],
+) -> None:
     q_learning, policy = make(config(target_interval=4))
     q_learning.train(6)
     resumed, restored = make(config(target_interval=4), purpose="other")

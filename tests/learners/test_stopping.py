@@ -26,7 +26,7 @@ def stopped_after(stopping: StoppingRule, epochs: Sequence[Epoch]) -> int | None
     return None
 
 
-def test_falling_losses_and_new_actions_go_on() -> None:
+def test_falling_losses_and_new_actions_do_not_stop() -> None:
     assert stopped_after(rule(1), [(A, 1.0), (B, 0.8), (C, 0.6), (A, 0.4)]) is None
 
 
@@ -78,7 +78,7 @@ def test_each_seed_stops_by_itself() -> None:
     assert stopping.stopped.tolist() == [True, False, True]
 
 
-def test_a_saved_state_goes_on_alike() -> None:
+def test_a_loaded_state_resumes_bit_identically() -> None:
     stopping = rule(3)
     assert stopped_after(stopping, [(A, 1.0), (A, 1.0), (A, 1.0)]) is None
     buffer = io.BytesIO()

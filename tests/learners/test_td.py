@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.nn import functional
 
-from ril.learners.td import n_step, taken, td_errors, td_losses, td_targets
+from ril.learners.td import action_values, n_step, td_errors, td_losses, td_targets
 from ril.vectorized.networks import MLP
 from ril.vectorized.replay import Batch
 from ril.vectorized.rollout import Episodes
@@ -42,24 +42,29 @@ def test_target_is_reward_and_the_discounted_best_next_value() -> None:
     torch.testing.assert_close(targets, torch.tensor([[-1 + 0.9 * 5, 2 + 0.9 * -2]]))
 
 
-@pytest.mark.parametrize("choosing", [None, torch.zeros(1, 2, 3)], ids=["max", "double"])
-def test_target_of_a_terminal_step_is_its_reward(choosing: torch.Tensor | None) -> None:
+@pytest.mark.parametrize("selection_values", [None, torch.zeros(1, 2, 3)], ids=["max", "double"])
+def test_target_of_a_terminal_step_is_its_reward(selection_values: torch.Tensor | None) -> None:
     batch = batch_of([-1.0, 7.0], [0.0, 1.0])
-    targets = td_targets(batch, torch.full((1, 2, 3), 10.0), 0.5, choosing)
+    targets = td_targets(batch, torch.full((1, 2, 3), 10.0), 0.5, selection_values)
     assert targets.tolist() == [[4.0, 7.0]]
 
 
 def test_a_double_target_is_the_value_of_the_action_that_another_would_choose() -> None:
     batch = batch_of([-1.0, 2.0], [0.0, 0.0])
     next_values = torch.tensor([[[1.0, 5.0, 3.0], [-4.0, -2.0, -9.0]]])
-    choosing = torch.tensor([[[0.0, 1.0, 2.0], [8.0, 7.0, 6.0]]])  # the third, and the first
-    targets = td_targets(batch, next_values, 0.9, choosing)
+    selection_values = torch.tensor(
+        [[[0.0, 1.0, 2.0], [8.0, 7.0, 6.0]]]
+    )  # the third, and the first
+    targets = td_targets(batch, next_values, 0.9, selection_values)
     torch.testing.assert_close(targets, torch.tensor([[-1 + 0.9 * 3, 2 + 0.9 * -4]]))
 
 
-def test_taken_values_are_those_of_the_actions_of_each_seed() -> None:
+def test_action_values_are_those_of_the_actions_of_each_seed() -> None:
     values = torch.tensor([[[1.0, 2.0], [3.0, 4.0]], [[5.0, 6.0], [7.0, 8.0]]])
-    assert taken(values, torch.tensor([[1, 0], [0, 1]])).tolist() == [[2.0, 3.0], [5.0, 8.0]]
+    assert action_values(values, torch.tensor([[1, 0], [0, 1]])).tolist() == [
+        [2.0, 3.0],
+        [5.0, 8.0],
+    ]
 
 
 @pytest.mark.parametrize(
@@ -112,7 +117,9 @@ def test_no_gradient_reaches_the_policy_through_what_is_aimed_at(double: bool) -
     leaves = list(policy.parameters.values())
     errors = td_errors(policy, policy, batch, 0.9, double=double)
     found = torch.autograd.grad(errors.sum(), leaves)
-    expected = torch.autograd.grad(taken(policy(batch.observations), batch.actions).sum(), leaves)
+    expected = torch.autograd.grad(
+        action_values(policy(batch.observations), batch.actions).sum(), leaves
+    )
     torch.testing.assert_close(found, expected)
 
 

@@ -30,7 +30,7 @@ def make(quick: Any, make_task: Callable[[Config], Task]) -> Callable[..., tuple
 def test_it_is_supervised_learning_of_the_experts_actions(make: Any) -> None:
     method, task = make()
     # §4.1 (i): CartPole's topology and learning rate.
-    start = Network.initialise(MLP(4, (8, 8), 2), task.seeds, "policy", task.device)
+    start = Network.initialize(MLP(4, (8, 8), 2), task.seeds, "policy", task.device)
     modules = copies_of(start)
     losses = [progress.metrics["cloning_loss"] for progress in method.train()]
 

@@ -157,7 +157,7 @@ def networks(method: RIL, purpose: str, inputs: int) -> Network:
     architecture = MLP(
         inputs, tuple(shape.hidden), task.environment.action_count, negative_slope=0.01
     )
-    return Network.initialise(architecture, task.seeds, purpose, CPU)
+    return Network.initialize(architecture, task.seeds, purpose, CPU)
 
 
 class Player:

@@ -91,7 +91,7 @@ def rewards_alone(method: ConsistentRIL, epochs: int, epsilon: float) -> Network
     shape = method.learning.network.architecture
     length = len(task.expert.observations) / task.expert.trajectories
     learning = ConsistentLearning(
-        Network.initialise(shape, task.seeds, "policy", CPU),
+        Network.initialize(shape, task.seeds, "policy", CPU),
         Replay(len(task.seeds), round(500 * length), size, CPU),
         settings,
         task.seeds,

@@ -8,7 +8,7 @@ import torch
 from torch._dynamo.exc import TorchDynamoException
 
 from ril.vectorized import compiling
-from ril.vectorized.compiling import compiled, unless_broken
+from ril.vectorized.compiling import compile_graph, with_fallback
 
 
 def broken(*_: Any, **__: Any) -> Any:
@@ -20,12 +20,12 @@ def broken(*_: Any, **__: Any) -> Any:
     return SimpleNamespace(aot_compile=fails)
 
 
-def test_a_function_that_torch_cannot_compile_goes_on_as_it_is_after_a_line(
+def test_a_function_that_torch_cannot_compile_stays_eager_and_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    compiling._say.cache_clear()
+    compiling._warn.cache_clear()
     monkeypatch.setattr(torch, "compile", broken)
-    function = unless_broken(compiled(torch.add), torch.add)
+    function = with_fallback(compile_graph(torch.add), torch.add)
     for _ in range(2):
         assert function(torch.ones(1), torch.ones(1)) == 2
     assert capsys.readouterr().err == (
@@ -35,7 +35,7 @@ def test_a_function_that_torch_cannot_compile_goes_on_as_it_is_after_a_line(
 
 
 def test_a_graph_refuses_other_shapes_than_its_first() -> None:
-    function = compiled(torch.add)
+    function = compile_graph(torch.add)
     function(torch.ones(4, 8), torch.ones(4, 8))
     with pytest.raises((AssertionError, RuntimeError), match=r"size|shape"):
         function(torch.ones(4, 6), torch.ones(4, 6))

@@ -23,15 +23,17 @@ def plan(environment: Environment, steps: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", CLASSIC)
-def test_arrays_are_gymnasium_bit_for_bit(environments: dict[str, Environment], name: str) -> None:
-    """20,000 transitions, among them starts, ends and cuts; some copies pause now and then."""
+def test_arrays_are_bit_identical_to_gymnasium(
+    environments: dict[str, Environment], name: str
+) -> None:
+    """20,000 transitions, with starts, ends and truncations; some copies pause now and then."""
     environment = environments[name]
     arrays, reference = ArrayCopies(environment, COUNT), GymnasiumCopies(environment, COUNT)
     both = arrays, reference
     for index in range(COUNT):
         for copies in both:
             copies.reset(index, seed=index)
-    ended = cut = 0
+    ended = truncated = 0
     for step, actions in enumerate(plan(environment, 1000)):
         going = np.flatnonzero((np.arange(COUNT) + step) % 50)
         found, expected = (copies.step(going, actions[going]) for copies in both)
@@ -39,16 +41,16 @@ def test_arrays_are_gymnasium_bit_for_bit(environments: dict[str, Environment], 
             np.testing.assert_array_equal(one, other)
             assert one.dtype == other.dtype
         np.testing.assert_array_equal(arrays.observations, reference.observations)
-        _, ends, cuts = expected
-        ended, cut = ended + ends.sum(), cut + cuts.sum()
-        for index in going[ends | cuts].tolist():
+        _, by_environment, by_limit = expected
+        ended, truncated = ended + by_environment.sum(), truncated + by_limit.sum()
+        for index in going[by_environment | by_limit].tolist():
             for copies in both:
                 copies.reset(index, seed=1000 * step + index)
     assert ended > 0
-    assert cut > 0 or name == "cartpole"  # which random actions do not keep up for 500 steps
+    assert truncated > 0 or name == "cartpole"  # which random actions do not keep up for 500 steps
 
 
-def test_an_episode_of_cartpole_is_cut_at_its_limit(cartpole: Environment) -> None:
+def test_an_episode_of_cartpole_is_truncated_at_its_limit(cartpole: Environment) -> None:
     copies = ArrayCopies(replace(cartpole, max_episode_steps=3), 1)
     copies.reset(0, seed=0)
     only = np.zeros(1, dtype=np.int64)

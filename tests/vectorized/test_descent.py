@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import dataclasses
 import shutil
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,13 +9,13 @@ import torch
 from helpers.states import copied
 from torch import Tensor
 
-from ril.config.schema import Config
-from ril.learners.online_q_learning import OnlineQLearning
-from ril.learners.q_learning import QLearning
-from ril.methods.ril import RIL, QLearningConfig
-from ril.task import Task
+from ril.learners.cloning import Cloning, CloningConfig
+from ril.learners.goal_sampler import Selection
+from ril.learners.inverse_dynamics import InverseDynamics, InverseDynamicsConfig
+from ril.learners.q_learning import QLearning, TargetNetworkConfig
 from ril.vectorized import compiling
-from ril.vectorized.compiling import compiled, worth_compiling
+from ril.vectorized.compiling import compile_graph, worth_compiling
+from ril.vectorized.descent import train_on_minibatches
 from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay
@@ -53,7 +51,12 @@ def memory(seeds: tuple[int, ...]) -> Replay:
 
 
 def learner(
-    architecture: Architecture, seeds: tuple[int, ...], *, fused: bool, full: bool, **changes: Any
+    architecture: Architecture,
+    seeds: tuple[int, ...],
+    *,
+    compile_step: bool,
+    full: bool,
+    **changes: Any,
 ) -> QLearning:
     """A learner; a full one has priorities, double targets and a target network."""
     values = {
@@ -64,20 +67,19 @@ def learner(
         "discount": 0.9,
         "loss": "huber",
         "target_interval": 6 if full else 0,
-        "replay_trajectories": 1.0,
     }
     priorities = None
     if full:
         priorities = Priorities(len(seeds), STORED, 0.6, CPU)
         priorities.add(torch.arange(STORED).expand(len(seeds), STORED))
     return QLearning(
-        Network.initialise(architecture, seeds, "policy", CPU),
+        Network.initialize(architecture, seeds, "policy", CPU),
         memory(seeds),
-        QLearningConfig(**(values | changes)),
+        TargetNetworkConfig(**(values | changes)),
         Streams(seeds, "replay batches"),
         priorities=priorities,
         double=full,
-        fused=fused,
+        compile_step=compile_step,
     )
 
 
@@ -96,66 +98,109 @@ ARCHITECTURES = {"plain": (ATTENTIVE, False), "full": (STREAMS, True)}
 
 @pytest.fixture(scope="module", params=ARCHITECTURES)
 def among(request: pytest.FixtureRequest) -> tuple[str, QLearning, Tensor, Tensor]:
-    """Which kind it is; a fused learner of three seeds, and what its training gave."""
+    """Which kind it is; a compiled learner of three seeds, and what its training gave."""
     architecture, full = ARCHITECTURES[request.param]
-    q_learning = learner(architecture, (3, 5, 9), fused=True, full=full)
+    q_learning = learner(architecture, (3, 5, 9), compile_step=True, full=full)
     return request.param, q_learning, *trained(q_learning)
 
 
 @needs_compiler
 def test_compiled_updates_are_the_eager_ones_but_for_rounding(among: Any) -> None:
-    kind, fused, parameters, losses = among
+    kind, compiled, parameters, losses = among
     architecture, full = ARCHITECTURES[kind]
-    eager = learner(architecture, (3, 5, 9), fused=False, full=full)
+    eager = learner(architecture, (3, 5, 9), compile_step=False, full=full)
     before = eager.policy.flat.clone()
     expected, expected_losses = trained(eager)
     assert (expected - before).abs().max() > 5e-3  # many times the tolerance
     torch.testing.assert_close(parameters, expected, rtol=1e-3, atol=1e-4)
     torch.testing.assert_close(losses, expected_losses, rtol=1e-3, atol=1e-5)
     if full:
-        weights = (each.priorities.weights for each in (fused, eager))
+        weights = (each.priorities.weights for each in (compiled, eager))
         torch.testing.assert_close(*weights, rtol=1e-3, atol=1e-3)
 
 
 @needs_compiler
 def test_a_seeds_compiled_updates_do_not_depend_on_other_seeds(among: Any) -> None:
-    kind, fused, parameters, losses = among
+    kind, compiled, parameters, losses = among
     architecture, full = ARCHITECTURES[kind]
-    alone = learner(architecture, (5,), fused=True, full=full)
+    alone = learner(architecture, (5,), compile_step=True, full=full)
     of_alone, losses_of_alone = trained(alone)
     assert torch.equal(parameters[1], of_alone[0])
     assert torch.equal(losses[:, 1], losses_of_alone[:, 0])
     if full:
-        assert torch.equal(fused.priorities.weights[1], alone.priorities.weights[0])
+        assert torch.equal(compiled.priorities.weights[1], alone.priorities.weights[0])
 
 
 @needs_compiler
 def test_compiled_updates_follow_a_state_that_is_loaded(among: Any) -> None:
-    kind, fused, _, _ = among
+    kind, compiled, _, _ = among
     architecture, full = ARCHITECTURES[kind]
-    eager = learner(architecture, (3, 5, 9), fused=False, full=full)
+    eager = learner(architecture, (3, 5, 9), compile_step=False, full=full)
     eager.train(*FIRST)
-    fused.policy.flat.copy_(eager.policy.flat)
-    fused.load_state_dict(copied(eager.state_dict()))
-    fused.train(*SECOND)
+    compiled.policy.flat.copy_(eager.policy.flat)
+    compiled.load_state_dict(copied(eager.state_dict()))
+    compiled.train(*SECOND)
     eager.train(*SECOND)
-    torch.testing.assert_close(fused.policy.flat, eager.policy.flat, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(compiled.policy.flat, eager.policy.flat, rtol=1e-4, atol=1e-5)
 
 
 @needs_compiler
-def test_compiled_imitation_is_the_eager_one_but_for_rounding(
-    quick: Any, make_task: Callable[[Config], Task]
-) -> None:
-    """One epoch of inverse dynamics (line 7) and cloning (line 9); Q-learning is above."""
-    config = quick("method=ril")
+def test_compiled_inverse_dynamics_are_the_eager_ones_but_for_rounding() -> None:
+    """Training on I^s (line 7); Q-learning is above."""
     losses = []
-    for wanted in (False, True):
-        method = RIL(config.method, dataclasses.replace(make_task(config), compile=wanted))
-        method.imitation.generate_pre()
-        metrics, _ = method.imitation.train(limit=1.0)
-        losses.append(metrics)
-    for name in ("inverse_dynamics_loss", "cloning_loss"):
-        np.testing.assert_allclose(losses[1][name], losses[0][name], rtol=1e-4, err_msg=name)
+    for compile_step in (False, True):
+        model = InverseDynamics(
+            Network.initialize(MLP(8, (8, 8), 2), (3, 5), "inverse dynamics", CPU),
+            InverseDynamicsConfig(
+                inputs="change",
+                standardise="change",
+                learning_rate=1e-3,
+                updates=20,
+                batch_size=32,
+                gradient_clip=0.5,
+                labels="argmax",
+            ),
+            Streams((3, 5), "inverse dynamics batches"),
+            compile_step=compile_step,
+        )
+        replay = memory((3, 5))
+        model.standardize(replay.everything())
+        losses.append(model.train(Selection(replay.everything(), replay.sizes)))
+    torch.testing.assert_close(*losses, rtol=1e-4, atol=1e-6)
+
+
+@needs_compiler
+def test_compiled_cloning_is_the_eager_one_but_for_rounding() -> None:
+    """Training on labels (line 9)."""
+    observations = torch.linspace(-1, 1, 400).view(100, 4).sin()
+    labels = (observations[:, 0] > 0).long().expand(2, 100)
+    losses = []
+    for compile_step in (False, True):
+        cloning = Cloning(
+            Network.initialize(ATTENTIVE, (3, 5), "policy", CPU),
+            CloningConfig(learning_rate=1e-3, updates=20, batch_size=32, gradient_clip=None),
+            Streams((3, 5), "cloning batches"),
+            compile_step=compile_step,
+        )
+        losses.append(cloning.train(observations, labels))
+    torch.testing.assert_close(*losses, rtol=1e-4, atol=1e-6)
+
+
+def test_minibatches_are_used_in_order_and_losses_averaged() -> None:
+    seen = []
+
+    def step(number: float, name: str) -> Tensor:
+        seen.append((number, name))
+        return torch.tensor([number, 2 * number])
+
+    mean = train_on_minibatches(step, [1.0, 2.0, 6.0], ["a", "b", "c"])
+    assert seen == [(1.0, "a"), (2.0, "b"), (6.0, "c")]
+    assert mean.tolist() == [3.0, 6.0]
+
+
+def test_minibatches_must_be_equally_many() -> None:
+    with pytest.raises(ValueError, match="shorter"):
+        train_on_minibatches(lambda *_: torch.zeros(2), [1, 2], [1])
 
 
 @pytest.fixture
@@ -193,7 +238,7 @@ def test_it_compiles_as_wanted_or_where_it_pays(wanted: Any, updates: int, compi
 @pytest.fixture
 def unsaid() -> None:
     """What is said once only has not been said yet."""
-    compiling._say.cache_clear()
+    compiling._warn.cache_clear()
 
 
 @pytest.mark.parametrize("wanted", [True, "auto"])
@@ -225,15 +270,15 @@ def test_a_compiler_that_is_named_is_the_one_that_counts(
 
 
 @pytest.mark.usefixtures("unsaid")
-def test_where_compiling_fails_it_goes_on_as_if_it_had_not_been_asked_for(
+def test_where_compiling_fails_training_is_eager(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def broken(*_: Any) -> None:
         raise RuntimeError("C++ compile error\nand pages more of it")
 
-    monkeypatch.setattr("ril.vectorized.descent.compiled", lambda function: broken)
-    found = trained(learner(PLAIN, (3, 5), fused=True, full=False))
-    expected = trained(learner(PLAIN, (3, 5), fused=False, full=False))
+    monkeypatch.setattr("ril.vectorized.descent.compile_graph", lambda function: broken)
+    found = trained(learner(PLAIN, (3, 5), compile_step=True, full=False))
+    expected = trained(learner(PLAIN, (3, 5), compile_step=False, full=False))
     assert all(map(torch.equal, found, expected))
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("ril: cannot compile here (RuntimeError: C++ compile error and pages")
@@ -246,29 +291,4 @@ def test_what_does_not_fit_into_one_graph_is_an_error() -> None:
         return x + 1
 
     with pytest.raises(Exception, match="graph_break"):
-        compiled(of_two_graphs)(torch.zeros(2))
-
-
-@pytest.mark.parametrize(
-    ("total_steps", "updates"),
-    [(60, (60 // 4) * 2), (103, (103 // 4) * 2)],  # whatever the number of seeds
-)
-def test_what_pays_is_by_the_updates_of_each_seed(
-    quick: Any,
-    make_task: Callable[[Config], Task],
-    monkeypatch: pytest.MonkeyPatch,
-    total_steps: int,
-    updates: int,
-) -> None:
-    asked = []
-
-    def asking(wanted: Any, updates: int) -> bool:
-        asked.append(updates)
-        return False
-
-    monkeypatch.setattr("ril.learners.online_q_learning.worth_compiling", asking)
-    config = quick("method=dqn")
-    task = make_task(config)
-    policy = Network.initialise(MLP(4, (8,), 2), task.seeds, "policy", CPU)
-    OnlineQLearning(config.method.q_learning, task, policy, "uniform", total_steps)
-    assert asked == [updates]
+        compile_graph(of_two_graphs)(torch.zeros(2))

@@ -124,7 +124,7 @@ def test_gradient_is_that_of_each_seeds_modules(architecture: MLP) -> None:
 
 @st.composite
 def dueling(draw: st.DrawFn) -> Dueling:
-    """Two streams over the same inputs, otherwise as they like."""
+    """Two streams over the same inputs, each of any shape."""
     value, advantage = draw(architectures), draw(architectures)
     return Dueling(dataclasses.replace(value, inputs=advantage.inputs, outputs=1), advantage)
 
@@ -161,7 +161,7 @@ DUELING = Dueling(dataclasses.replace(PLAIN, outputs=1), PLAIN)
 
 @pytest.mark.parametrize("architecture", [DUELING, Dueling(FULL, FULL)])
 def test_dueling_streams_begin_as_two_networks_would(architecture: Dueling) -> None:
-    parameters = Network.initialise(architecture, range(200), "policy", CPU).parameters
+    parameters = Network.initialize(architecture, range(200), "policy", CPU).parameters
     for stream in ("value", "advantage"):
         for layer, fan_in in (("linear0", 3), ("linear1", 8), ("output", 5)):
             for kind in ("weight", "bias"):
@@ -171,7 +171,7 @@ def test_dueling_streams_begin_as_two_networks_would(architecture: Dueling) -> N
 
 
 def test_dueling_attention_and_layer_norm_begin_as_an_mlps() -> None:
-    parameters = Network.initialise(Dueling(FULL, FULL), (0, 1), "policy", CPU).parameters
+    parameters = Network.initialize(Dueling(FULL, FULL), (0, 1), "policy", CPU).parameters
     for stream in ("value", "advantage"):
         assert not parameters[f"value1.{stream}.gamma"].any()
         assert (parameters[f"norm1.{stream}.weight"] == 1).all()
@@ -183,7 +183,7 @@ TEMPERATURES = (0.01, 0.1, 1.0, 3.0)
 
 @st.composite
 def consistent(draw: st.DrawFn) -> Consistent:
-    """Two streams over the same inputs, otherwise as they like."""
+    """Two streams over the same inputs, each of any shape."""
     value, policy = draw(architectures), draw(architectures)
     value = dataclasses.replace(value, inputs=policy.inputs, outputs=1)
     scale = draw(st.sampled_from([0.5, 1.0, 50.0]))
@@ -251,7 +251,7 @@ def test_consistent_has_the_parameters_of_both_streams_the_values_first(
 
 def test_consistent_streams_begin_as_two_networks_would() -> None:
     value = dataclasses.replace(FULL, hidden=(4, 6), outputs=1)
-    parameters = Network.initialise(
+    parameters = Network.initialize(
         Consistent(value, FULL, 0.1, 50.0), range(200), "policy", CPU
     ).parameters
     for stream, fan_ins in (("value", (3, 4, 6)), ("policy", (3, 8, 5))):
@@ -289,7 +289,7 @@ def test_no_seed_reaches_another() -> None:
     assert not torch.equal(before[1], after[1])
 
 
-# One of a size is where torch multiplies by a vector, and rounds otherwise than by a matrix.
+# One of a size is where torch multiplies by a vector, whose rounding differs from that of a matrix.
 @pytest.mark.parametrize("rows", [1, 2, 7, 32, 256])
 @pytest.mark.parametrize("size", [1, 2, 8, 100])
 @pytest.mark.parametrize("outputs", [1, 2, 4, 100])
@@ -329,27 +329,27 @@ def test_a_copy_has_a_buffer_of_its_own() -> None:
     assert torch.equal(network(x), before)
 
 
-def initialised(*seeds: int, purpose: str = "policy") -> Network:
-    return Network.initialise(FULL, seeds, purpose, CPU)
+def initialized(*seeds: int, purpose: str = "policy") -> Network:
+    return Network.initialize(FULL, seeds, purpose, CPU)
 
 
 def test_initial_parameters_do_not_depend_on_other_seeds() -> None:
-    assert torch.equal(initialised(5).flat[0], initialised(3, 5, 9).flat[1])
+    assert torch.equal(initialized(5).flat[0], initialized(3, 5, 9).flat[1])
 
 
 def test_seeds_differ_in_initial_parameters() -> None:
-    first, second = initialised(0, 1).flat
+    first, second = initialized(0, 1).flat
     assert not torch.equal(first, second)
 
 
 def test_purposes_differ_in_initial_parameters() -> None:
-    assert not torch.equal(initialised(0).flat, initialised(0, purpose="other").flat)
+    assert not torch.equal(initialized(0).flat, initialized(0, purpose="other").flat)
 
 
 @pytest.mark.parametrize("name", ["linear0", "value0", "linear1", "value1", "output"])
 @pytest.mark.parametrize("kind", ["weight", "bias"])
 def test_initial_linear_layers_fill_the_range_of_torch(name: str, kind: str) -> None:
-    network = initialised(*range(200))
+    network = initialized(*range(200))
     fan_in = network.parameters[f"{name}.weight"].shape[1]
     sizes = network.parameters[f"{name}.{kind}"].abs()
     # torch.nn.Linear draws weight and bias uniformly within ±1/√fan_in.
@@ -359,10 +359,10 @@ def test_initial_linear_layers_fill_the_range_of_torch(name: str, kind: str) -> 
 
 
 def test_attention_begins_as_the_identity() -> None:
-    assert not initialised(0, 1).parameters["value0.gamma"].any()
+    assert not initialized(0, 1).parameters["value0.gamma"].any()
 
 
 def test_layer_norm_begins_with_scale_one_and_no_shift() -> None:
-    parameters = initialised(0, 1).parameters
+    parameters = initialized(0, 1).parameters
     assert (parameters["norm1.weight"] == 1).all()
     assert (parameters["norm1.bias"] == 0).all()

@@ -212,7 +212,7 @@ def test_sums_are_those_of_the_slots_after_any_updates(
         np.put_along_axis(model, slots, values, axis=1)
     np.testing.assert_allclose(priorities.weights[:, :capacity].numpy(), model, rtol=1e-12)
     assert not priorities.weights[:, capacity:].any()
-    blocks, sums = (priorities.state_dict()[name].numpy() for name in ("blocks", "sums"))
+    blocks, sums = (priorities.state_dict()[name].numpy() for name in ("_blocks", "_sums"))
     np.testing.assert_allclose(sums, blocks.sum(axis=-1), rtol=1e-12)
 
 
@@ -242,7 +242,7 @@ def test_a_seeds_draws_do_not_depend_on_other_seeds(capacity: int) -> None:
         assert torch.equal(state[name][1], expected[0]), name
 
 
-def test_saved_priorities_go_on_alike() -> None:
+def test_loaded_priorities_resume_bit_identically() -> None:
     priorities, resumed = (Priorities(3, 90, 0.6, CPU) for _ in range(2))
     worked(priorities, slice(0, 3), 40)
     worked(resumed, slice(0, 3), 7, start=50)  # what was done before leaves no trace

@@ -12,7 +12,7 @@ import torch
 from joblib import Parallel, delayed
 
 from ril.io.errors import UserError
-from ril.vectorized.processes import Spread, usable_processes
+from ril.vectorized.processes import WorkerPool, usable_processes
 
 
 class Counter:
@@ -39,7 +39,7 @@ def threads_of(counter: Counter) -> int:
 
 
 def signalled(counter: Counter, number: int) -> int:
-    """What a worker goes on to answer after a signal."""
+    """What a worker answers after a signal."""
     os.kill(os.getpid(), number)
     return counter.count
 
@@ -48,12 +48,12 @@ def killed(counter: Counter) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def spread(starts: list[int], processes: int) -> Spread[Counter]:
-    return Spread([partial(Counter, start) for start in starts], processes)
+def spread(starts: list[int], processes: int) -> WorkerPool[Counter]:
+    return WorkerPool([partial(Counter, start) for start in starts], processes)
 
 
 @pytest.fixture(scope="module")
-def two() -> Spread[Counter]:
+def two() -> WorkerPool[Counter]:
     """Three counters in two workers, which take seconds to start."""
     return spread([10, 20, 30], 2)
 
@@ -75,7 +75,7 @@ def ends(process: int) -> bool:
     return False
 
 
-def test_objects_are_spread_evenly_and_stay_where_they_are(two: Spread[Counter]) -> None:
+def test_objects_are_spread_evenly_and_stay_where_they_are(two: WorkerPool[Counter]) -> None:
     first, second, third = two.each(process_of)
     assert first == third != second
     assert os.getpid() not in (first, second)
@@ -88,7 +88,7 @@ def test_what_lives_alone_or_in_one_process_lives_here(processes: int) -> None:
     assert set(spread(starts, processes).each(process_of)) == {os.getpid()}
 
 
-def test_objects_keep_their_state_and_their_order(two: Spread[Counter]) -> None:
+def test_objects_keep_their_state_and_their_order(two: WorkerPool[Counter]) -> None:
     here = spread([10, 20, 30], 1)
     before = [0, 0, 0]
     for amounts in ([1, 2, 3], [10, 20, 30]):
@@ -101,18 +101,18 @@ def test_objects_keep_their_state_and_their_order(two: Spread[Counter]) -> None:
     assert there == [[11, 22, 33], [21, 42, 63]]
 
 
-def test_a_worker_uses_one_thread(two: Spread[Counter]) -> None:
+def test_a_worker_uses_one_thread(two: WorkerPool[Counter]) -> None:
     assert two.each(threads_of) == [1, 1, 1]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_worker_leaves_signals_to_its_parent(two: Spread[Counter], number: int) -> None:
+def test_a_worker_leaves_signals_to_its_parent(two: WorkerPool[Counter], number: int) -> None:
     before = two.each(process_of)
     assert two.each(signalled, [number] * 3) == two.each(Counter.add, [0, 0, 0])
     assert two.each(process_of) == before
 
 
-def test_an_error_arrives_as_itself_and_the_others_go_on(two: Spread[Counter]) -> None:
+def test_an_error_arrives_as_itself_and_the_others_keep_working(two: WorkerPool[Counter]) -> None:
     counts = two.each(Counter.add, [0, 0, 0])
     with pytest.raises(UserError) as raised:
         two.each(Counter.add, [0, -1, 0])
@@ -129,7 +129,7 @@ def test_an_error_while_an_object_is_made_arrives() -> None:
 def test_a_worker_that_is_killed_is_one_clear_mistake_and_the_other_ends() -> None:
     spread_out = spread([1, 2], 2)
     workers = spread_out.each(process_of)
-    with pytest.raises(UserError, match="a worker process was killed; with processes=1"):
+    with pytest.raises(UserError, match="a worker process was killed.*processes=1"):
         spread_out.each(killed)
     del spread_out
     assert all(ends(worker) for worker in workers)

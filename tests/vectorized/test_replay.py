@@ -141,7 +141,7 @@ def test_transitions_added_one_by_one_are_as_appended(count: int, capacity: int)
 
 
 @given(before=st.integers(1, 12), capacity=st.integers(1, 9))
-def test_episodes_go_on_where_single_transitions_end(before: int, capacity: int) -> None:
+def test_episodes_follow_single_transitions(before: int, capacity: int) -> None:
     first, second = numbered_episodes([before] * 2), numbered_episodes([5] * 2, first=100)
     mixed, appended = Replay(2, capacity, OBS, CPU), Replay(2, capacity, OBS, CPU)
     for step in range(before):
@@ -175,7 +175,7 @@ def test_memories_grow_with_added_transitions_until_they_are_full() -> None:
     assert sizes == [[1, 1], [2, 2], [3, 3], [3, 3], [3, 3]]
 
 
-def test_a_saved_memory_goes_on_alike() -> None:
+def test_a_loaded_memory_resumes_bit_identically() -> None:
     replay, resumed = Replay(2, 5, OBS, CPU), Replay(2, 5, OBS, CPU)
     replay.append(numbered_episodes([4, 7]))
     buffer = io.BytesIO()

@@ -144,7 +144,7 @@ def test_final_rewards_are_those_of_the_last_steps(countdown: Environment) -> No
     assert count_down(countdown, [2, 4, 20]).final_rewards.tolist() == [10, 10, 1]
 
 
-def test_ends_tell_an_end_from_a_cut(countdown: Environment) -> None:
+def test_ends_tell_an_end_from_a_truncation(countdown: Environment) -> None:
     assert count_down(countdown, [2, 9, 20]).ends.tolist() == [True, True, False]
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ril.config.schema import EnvironmentConfig
 from ril.environments import Environment, load_environment
-from ril.vectorized.copies import Copies, make_copies
+from ril.vectorized.copies import EnvironmentCopies, make_copies
 from ril.vectorized.stepping import Step, SteppedEnvironments
 
 NAMES = ("cartpole", "mountaincar", "lunarlander")
@@ -24,7 +24,7 @@ def plan(environment: Environment, steps: int, copies: int) -> np.ndarray:
 
 
 def play(environments: SteppedEnvironments, actions: np.ndarray) -> list[tuple[np.ndarray, Step]]:
-    """Where each step was taken, and what it gave."""
+    """The states of the steps, and the steps."""
     return [(environments.observations, environments.step(chosen)) for chosen in actions]
 
 
@@ -41,7 +41,7 @@ def recorded(
     """Stepped environments, and a list of each copy's reset seeds, which grows."""
     resets: list[list[int]] = [[] for _ in range(len(seeds) * copies)]
 
-    def recording(environment: Environment, count: int) -> Copies:
+    def recording(environment: Environment, count: int) -> EnvironmentCopies:
         made = make_copies(environment, count)
         reset = made.reset
 
@@ -95,7 +95,7 @@ def test_an_end_by_the_step_limit_is_truncated(mountaincar: Environment) -> None
 
 
 class Both(gym.Env):
-    """Ends by itself with its second step, at which the limit cuts it too."""
+    """Ends by itself with its second step, at which the limit truncates it too."""
 
     observation_space = gym.spaces.Box(0, 10, (1,), np.float32)
     action_space = gym.spaces.Discrete(2)
@@ -175,7 +175,7 @@ def test_observations_are_not_written_over_by_the_next_step(cartpole: Environmen
 
 
 @pytest.mark.parametrize(("name", "steps"), [(NAMES[0], 97), (NAMES[1], 230), (NAMES[2], 157)])
-def test_a_saved_state_goes_on_alike(
+def test_a_loaded_state_resumes_bit_identically(
     environments: dict[str, Environment], name: str, steps: int
 ) -> None:
     environment = environments[name]

@@ -35,12 +35,12 @@ def test_purposes_draw_differently(draw: Any) -> None:
     assert (draw(Streams([0], "resets")) != draw(Streams([0], "exploration"))).any()
 
 
-def test_draws_go_on(draw: Any) -> None:
+def test_draws_do_not_repeat(draw: Any) -> None:
     streams = Streams([0], "resets")
     assert (draw(streams) != draw(streams)).any()
 
 
-def test_a_saved_state_goes_on_alike(draw: Any) -> None:
+def test_a_loaded_state_resumes_bit_identically(draw: Any) -> None:
     streams, resumed = Streams([0, 2**40], "resets"), Streams([7, 8], "other")
     draw(streams)
     buffer = io.BytesIO()

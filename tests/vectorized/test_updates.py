@@ -29,7 +29,7 @@ def largest_gradient(network: Network) -> float:
 @pytest.mark.parametrize("clip", [None, 1.0, 0.05])
 def test_steps_are_those_of_torch_adam_after_clip_grad_value(clip: float | None) -> None:
     network = random_network(ARCHITECTURE, S)
-    assert largest_gradient(network) > 1.0  # so that every clip cuts something
+    assert largest_gradient(network) > 1.0  # so that every clip has an effect
     modules = copies_of(network)
     optimizer = ClippedAdam(network, 0.01, clip)
     references = [Adam(module, 0.01, clip) for module in modules]
@@ -72,7 +72,7 @@ def test_a_seeds_steps_do_not_depend_on_other_seeds() -> None:
     assert (one[1:] != other[1:]).any(dim=1).all()
 
 
-def test_a_saved_state_goes_on_alike() -> None:
+def test_a_loaded_state_resumes_bit_identically() -> None:
     network = random_network(ARCHITECTURE, S)
     optimizer = ClippedAdam(network, 0.01, 1.0)
     for step in range(STEPS):
