@@ -57,8 +57,20 @@ def by_fidelity(choices: Mapping[str, Any], *, _root_: DictConfig) -> Any:
 
 
 def choices(group: str) -> str:
-    """Resolve `${choices:method}` to the names of a group's files, for the help text."""
-    return ", ".join(sorted(file.stem for file in (config_folder() / group).glob("*.yaml")))
+    """Resolve `${choices:method}` to a group's choices, for the help text.
+
+    Returns:
+        A line for each: its name, and the first comment of its file.
+    """
+    lines = []
+    for file in sorted((config_folder() / group).glob("*.yaml")):
+        comments = (
+            line.removeprefix("# ")
+            for line in file.read_text(encoding="utf-8").splitlines()
+            if line.startswith("# ") and "@package" not in line
+        )
+        lines.append(f"    {file.stem:<19}{next(comments, '')}")
+    return "\n".join(lines)
 
 
 # On import, so that the worker processes of a sweep have them too.
