@@ -120,7 +120,8 @@ def test_a_failed_cell_is_reported_with_its_command(mixed: Ended, tmp_path: Path
     assert last == "ril-run: 2 of 4 cells without rows"
     failed = [line for line in mixed.errors.splitlines() if line.startswith("ril-run: failed: ")]
     assert failed == [
-        f"ril-run: failed: ril-run {' '.join(RANDOM)} demonstrations=none.npz seeds={seeds}"
+        f"ril-run: failed: ril-run env=cartpole method=random seeds={seeds} evaluation.episodes=2 "
+        "demonstrations=none.npz"
         for seeds in (1, 2)
     ]
     assert mixed.errors.count("demonstrations=none.npz: no such file or folder") == 2
@@ -205,7 +206,8 @@ def test_a_sweep_says_when_a_cell_has_finished(
     progress = SweepProgress([first, second], OmegaConf.create(), tmp_path)
     said = capsys.readouterr().out
     assert said == (
-        "sweep: 2 cells, 0 already finished, 2 to run, time unknown until the first cell is finished\n"
+        "sweep: 2 cells, 0 already finished, 2 to run, "
+        "time unknown until the first cell is finished\n"
     )
     with progress.watched():
         finish(first)
