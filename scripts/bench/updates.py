@@ -51,7 +51,7 @@ def one_eager_model() -> Callable[[], None]:
     return update
 
 
-def batched(seeds: int, *, fused: bool) -> Callable[[], None]:
+def batched(seeds: int, *, compiled: bool) -> Callable[[], None]:
     """Return ril's same update of several networks together."""
     network = MLP(2, (HIDDEN, HIDDEN), 3, attention=False)
     policy = Network.initialize(network, range(seeds), "policy", CPU)
@@ -61,7 +61,8 @@ def batched(seeds: int, *, fused: bool) -> Callable[[], None]:
     memory.actions.random_(3)
     memory.sizes[:] = STORED
     config = TargetNetworkConfig(RATE, 1, BATCH, 1.0, DISCOUNT, "huber", 300)
-    learner = QLearning(policy, memory, config, Streams(range(seeds), "batches"), fused=fused)
+    streams = Streams(range(seeds), "batches")
+    learner = QLearning(policy, memory, config, streams, compile_step=compiled)
     return partial(learner.train, 1)
 
 
@@ -79,8 +80,8 @@ def floor(seeds: int) -> float:
 def measured(rounds: int) -> tuple[str, float]:
     """Measure (a); return its table, and the speed-up of ten compiled seeds over modules."""
     alone = one_eager_model()
-    works = {("eager", s): batched(s, fused=False) for s in SEEDS}
-    works |= {("compiled", s): batched(s, fused=True) for s in SEEDS}
+    works = {("eager", s): batched(s, compiled=False) for s in SEEDS}
+    works |= {("compiled", s): batched(s, compiled=True) for s in SEEDS}
     for work in (alone, *works.values()):
         seconds(work, 20)  # compiles
     sides = {
