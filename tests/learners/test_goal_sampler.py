@@ -180,7 +180,7 @@ def test_a_share_of_pos_and_all_or_the_rest_of_pre_per_action(
         assert found == expected
 
 
-def test_without_successes_all_of_pre_is_taken() -> None:
+def test_without_successes_all_of_pre_is_chosen() -> None:
     [dataset] = selected([[0, 1, 2, 0]], [[]], [0.9])
     assert sorted(number for number, _ in dataset) == [0, 1, 2, 3]
 

@@ -34,7 +34,7 @@ def plain_draw(weights: NDArray[np.float64], uniform: NDArray[np.float32]) -> li
 def bare_errors() -> Iterator[None]:
     """Nothing is added to the errors, so that whole numbers stay whole, and their sums exact."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_LEAST", 0.0)
+        patch.setattr(module, "_EPSILON", 0.0)
         yield
 
 

@@ -84,7 +84,7 @@ def test_each_seed_holds_its_newest_transitions(
 
 
 @given(lengths=st.lists(st.integers(1, 12), min_size=1, max_size=5), capacity=st.integers(1, 9))
-def test_all_episodes_are_taken_without_keep(lengths: list[int], capacity: int) -> None:
+def test_all_episodes_are_appended_without_keep(lengths: list[int], capacity: int) -> None:
     replay, model = Replay(1, capacity, OBS, CPU), deque(maxlen=capacity)
     episodes = numbered_episodes(lengths)
     replay.append(episodes)
