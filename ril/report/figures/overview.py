@@ -26,7 +26,7 @@ THEMES = {
     "light": Theme("#1f2328", "#59636e", "#d1d9e0", "#0969da", "#ffffff"),
     "dark": Theme("#f0f6fc", "#9198a1", "#3d444d", "#58a6ff", "#0d1117"),
 }
-_LABELS, _PANEL, _GAP, _AVERAGE = 104, 150, 20, 66  # widths of the columns
+_LABELS, _PANEL, _GAP, _AVERAGE = 104, 146, 24, 66  # widths of the columns
 _TOP, _ROW = 84, 37  # height of the head, and of a row
 
 
@@ -113,9 +113,9 @@ def _legend(colors: Theme, width: int) -> Iterator[str]:
     """Explain the markers."""
     any_result = Result(0, 0, 0)
     for x, result, is_ours, text in (
-        (8, any_result, True, "ours: mean and 95 % interval over seeds"),
-        (312, replace(any_result, reduced=True), True, "fewer seeds or steps than the paper"),
-        (588, any_result, False, "the paper: mean ±"),
+        (8, any_result, True, "ours: mean and 95 % interval"),
+        (268, replace(any_result, reduced=True), True, "fewer seeds or steps than the paper"),
+        (568, any_result, False, "the paper: mean ±"),
     ):
         yield _bar(x, x + 26, 20, colors.ours if is_ours else colors.paper)
         yield _marker(x + 13, 20, result, is_ours, colors)
