@@ -1,4 +1,4 @@
-"""`ril-report`: the rows on disk as the paper's tables and figures, beside its own numbers."""
+"""`ril-report`: our rows as the paper's tables and figures, compared with its numbers."""
 
 from __future__ import annotations
 
@@ -11,52 +11,69 @@ from typing import NoReturn
 
 TABLES = tuple(f"table{number}" for number in range(1, 10))
 FIGURES = ("figure2", "figure3", "figure4", "figure5", "curves", "sensitivity")
-TARGETS = (*TABLES, *FIGURES, "statistics", "variants", "all")
+EVERYTHING = (*TABLES, *FIGURES, "statistics", "variants")
+TARGETS = (*EVERYTHING, "all", "results")
 FORMATS = ("md", "csv", "latex", "html")
 _EXAMPLES = """\
 examples:
   ril-report                                  everything on one page: report/index.html
   ril-report table2 table3                    two tables, as Markdown
-  ril-report table7 --format latex            for a paper of your own
+  ril-report table7 --format latex            a table for your own paper
   ril-report all --format csv > numbers.csv   every number with its interval and verdict
-  ril-report figure4 curves --to figures      PDF and PNG
-  ril-report table4 --score last              last policies instead of best ones
-  ril-report --audit                          where the paper contradicts itself
+  ril-report figure4 curves --to figures      figures, as PDF and PNG
+  ril-report table4 --score last              last policies instead of the best
+  ril-report variants                         the effect of overridden keys
+  ril-report --audit                          contradictions within the paper
   ril-report --outputs outputs/reference      the rows that come with ril's source
 """
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, without the usage."""
+    """Reports a mistake in one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
-        """Refuse the arguments."""
+        """Exit with the message."""
         sys.exit(f"ril-report: {message}")
 
 
+class _Version(argparse.Action):
+    """Prints the version, which is looked up only when asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """Print it and exit."""
+        import ril
+
+        print(f"ril {ril.__version__}")
+        parser.exit()
+
+
 def main() -> None:
-    """The console command; a mistake of the user's is one line on stderr and exit status 1."""
+    """Run the command; a user's mistake is one line on stderr and exit status 1."""
     arguments = _parser().parse_args()
     targets = arguments.targets or ([] if arguments.audit else ["all"])
     unknown = [target for target in targets if target not in TARGETS]
     if unknown:
-        sys.exit(f"ril-report: {unknown[0]}: unknown, choose of {', '.join(TARGETS)}")
-    # Path.is_dir raises where one may not look.
+        sys.exit(f"ril-report: {unknown[0]}: unknown target; choose from {', '.join(TARGETS)}")
+    # Path.is_dir raises for a folder without permission.
     is_folder = os.path.isdir
     missing = [str(folder) for folder in arguments.outputs or [] if not is_folder(folder)]
     if missing:
-        ordered = "; give it before --outputs" if missing[0] in TARGETS else ""
+        ordered = "; put targets before --outputs" if missing[0] in TARGETS else ""
         sys.exit(f"ril-report: --outputs {', '.join(missing)}: no such folder{ordered}")
 
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch's; on networks this small more are slower
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # more threads slow down networks this small
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # ± in a locale that has none is no reason to fail
+        sys.stdout.reconfigure(errors="replace")  # a locale without ± must not end the report
     from ril.io.errors import UserError
     from ril.report.write import Wanted, write
 
     everything = "all" in targets
     wanted = Wanted(
-        targets=tuple(name for name in TARGETS[:-1] if everything or name in targets),
+        targets=tuple(
+            name
+            for name in TARGETS
+            if name != "all" and (name in targets or (everything and name in EVERYTHING))
+        ),
         audit=arguments.audit,
         form=arguments.format or ("html" if everything else "md"),
         score=arguments.score,
@@ -66,7 +83,7 @@ def main() -> None:
     try:
         write(wanted)
         sys.stdout.flush()
-    except BrokenPipeError:  # who reads the tables wants no more of them
+    except BrokenPipeError:  # the reader, such as `head`, has stopped
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except (UserError, OSError) as error:
@@ -78,28 +95,38 @@ def main() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="ril-report",
-        description="Show the rows on disk as the paper's tables and figures, beside its numbers.",
+        description="Show our rows as the paper's tables and figures, compared with its numbers.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "targets", nargs="*", metavar="WHAT", help=f"any of {', '.join(TARGETS)} (default: all)"
+        "targets",
+        nargs="*",
+        metavar="TARGET",
+        help=f"one or more of {', '.join(TARGETS)} (default: all). "
+        "`results` writes results.md and the figure of the README",
     )
+    parser.add_argument("--format", choices=FORMATS, help="of tables (default: md; html for `all`)")
     parser.add_argument(
-        "--format", choices=FORMATS, help="default: md, but html of all; figures are files"
-    )
-    parser.add_argument(
-        "--score", choices=("best", "last"), default="best", help="of each run's policies"
+        "--score",
+        choices=("best", "last"),
+        default="best",
+        help="score the best or the last policy of each run (default: best)",
     )
     parser.add_argument(
         "--outputs", nargs="+", type=Path, metavar="DIR", help="folders of runs (default: outputs)"
     )
     parser.add_argument(
-        "--to", type=Path, default=Path("report"), metavar="DIR", help="of files (default: report)"
+        "--to",
+        type=Path,
+        default=Path("report"),
+        metavar="DIR",
+        help="folder for figures and pages (default: report)",
     )
     parser.add_argument(
-        "--audit", action="store_true", help="where the paper's numbers contradict each other"
+        "--audit", action="store_true", help="list the contradictions within the paper"
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     return parser
 
 

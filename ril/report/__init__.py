@@ -1,1 +1,1 @@
-"""Rows on disk to the paper's tables; knows no method."""
+"""Turns rows on disk into the paper's tables, figures and pages, without importing any method."""

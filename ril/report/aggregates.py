@@ -1,4 +1,4 @@
-"""Performance P of the methods over all four environments, and RIL's chance to be ahead."""
+"""Performance P of the methods over all four environments, and the probability that RIL leads."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from numpy.typing import NDArray
 
 from ril.report.evidence import Evidence
 from ril.report.findings import REFERENCES, find
-from ril.report.layout import Grid, with_interval
-from ril.report.paper.tables import ENVIRONMENTS, Cell, Setting, table
+from ril.report.layout import Grid
+from ril.report.numbers import with_interval
+from ril.report.paper.tables import ENVIRONMENTS, Cell, main_setting, table
 from ril.report.statistics import Aggregate, aggregate, probability_of_improvement
 
 Scores = dict[str, NDArray[np.float64]]  # performance P per seed, by environment
 
 
 def methods(evidence: Evidence) -> list[str]:
-    """All methods that learn, by the paper's names; those that it does not have last."""
+    """List all learning methods: the paper's by its names, then those beyond it."""
     papers = [
         cell.setting.method
         for name in ("table2", "table4", "table5")
@@ -26,7 +27,7 @@ def methods(evidence: Evidence) -> list[str]:
 
 
 def performances(evidence: Evidence, score: str) -> dict[str, Scores]:
-    """P of every method from one expert trajectory or none, where it is run.
+    """Compute P of every method from one expert trajectory or rewards alone, where it is run.
 
     Args:
         evidence: our rows.
@@ -35,15 +36,15 @@ def performances(evidence: Evidence, score: str) -> dict[str, Scores]:
     every: dict[str, Scores] = {}
     for method in methods(evidence):
         for env in ENVIRONMENTS:
-            setting = Setting(method, env, trajectories=1, k=2, n=150)
-            found = find(Cell("table2", "performance", setting, None, None), evidence, score)
+            cell = Cell("table2", "performance", main_setting(method, env), None, None)
+            found = find(cell, evidence, score)
             if found.values:
                 every.setdefault(method, {})[env] = np.array(found.values)
     return every
 
 
 def aggregates(every: dict[str, Scores]) -> dict[str, Aggregate]:
-    """Aggregates of those methods that are run on all four environments."""
+    """Aggregate the methods that are run on all four environments."""
     return {
         method: aggregate(scores)
         for method, scores in every.items()
@@ -52,7 +53,7 @@ def aggregates(every: dict[str, Scores]) -> dict[str, Aggregate]:
 
 
 def improvements(every: dict[str, Scores]) -> dict[str, tuple[float, float, float]]:
-    """Probability that RIL improves on each other method, where both are run, and its interval."""
+    """Estimate the probability that RIL improves on each other method, where both are run."""
     if "RIL" not in every:
         return {}
     return {
@@ -63,23 +64,23 @@ def improvements(every: dict[str, Scores]) -> dict[str, tuple[float, float, floa
 
 
 def statistics_grid(every: dict[str, Scores]) -> Grid:
-    """Both as one table."""
-    over_all, ahead = aggregates(every), improvements(every)
+    """Lay out aggregates and probabilities as one table."""
+    aggregated, improved = aggregates(every), improvements(every)
     body = []
     for method, scores in every.items():
-        found = over_all.get(method)
+        found = aggregated.get(method)
         parts = (
             (found.mean, found.median, found.iqm, found.optimality_gap) if found else (None,) * 4
         )
         seeds = [len(values) for values in scores.values()]
         count = str(seeds[0]) if len(set(seeds)) == 1 else f"{min(seeds)}–{max(seeds)}"
         texts = [
-            "" if part is None else with_interval(part) for part in (*parts, ahead.get(method))
+            "" if part is None else with_interval(part) for part in (*parts, improved.get(method))
         ]
         body.append([method, str(len(scores)), count, *texts])
     return Grid(
         "statistics",
-        "Performance P from one expert trajectory or rewards alone, and its 95 % intervals",
+        "Performance P from one expert trajectory or rewards alone, with 95 % intervals",
         1,
         [
             "Method",
@@ -92,5 +93,5 @@ def statistics_grid(every: dict[str, Scores]) -> Grid:
             "P(RIL > it)",
         ],
         body,
-        ["aggregates only of methods that are run on all four environments"],
+        ["aggregates need runs on all four environments"],
     )

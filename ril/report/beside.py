@@ -1,16 +1,16 @@
-"""The paper's number for the cell that one run is of."""
+"""The paper's result for the setting of one run."""
 
 from __future__ import annotations
 
 import pandas as pd
 
-from ril.report.evidence import Evidence, shortfall
-from ril.report.layout import number
+from ril.report.evidence import Evidence, reductions
+from ril.report.numbers import number
 from ril.report.paper.tables import ENVIRONMENTS, TABLES, table
 
 
 def paper_cell(rows: pd.DataFrame) -> str | None:
-    """The paper's AER for the cell that a run's rows are of, in words; None if it has none."""
+    """Return the paper's AER for the setting of a run's rows, in words; None if it has none."""
     run = Evidence(rows, pd.DataFrame())
     for name in TABLES:
         reported = table(name)
@@ -18,8 +18,8 @@ def paper_cell(rows: pd.DataFrame) -> str | None:
             if cell.quantity != "aer" or cell.setting.env not in ENVIRONMENTS:
                 continue
             if not run.matching(cell.setting).empty:
-                short = shortfall(rows, reported, cell.setting.method)
-                ran = f"; this was {' and '.join(short)}" if short else ""
-                papers = number("aer", cell.mean, cell.spread)
+                reduced = reductions(rows, reported, cell.setting.method)
+                ran = f"; this run has {' and '.join(reduced)}" if reduced else ""
+                papers = number("aer", cell.mean, cell.std)
                 return f"{papers} (Table {reported.number}: {reported.title}{ran})"
     return None

@@ -1,4 +1,4 @@
-"""What our rows give to each figure: the paper's, and those that it lacks."""
+"""The data of each figure, from our rows: the paper's figures, and some that it lacks."""
 
 from __future__ import annotations
 
@@ -16,12 +16,20 @@ from ril.report.figures import mountaincar, statistics
 from ril.report.figures.boxplots import boxplots
 from ril.report.figures.curves import learning_curves
 from ril.report.figures.limits import limits
+from ril.report.figures.overview import THEMES, Line, Pair, Result, overview
 from ril.report.figures.sensitivity import Point, sensitivity
 from ril.report.figures.style import Reference
 from ril.report.figures.variants import changes
-from ril.report.findings import find
+from ril.report.findings import REFERENCES, Finding, find
 from ril.report.mountaincar import DiscretePolicy, optimal_policy
-from ril.report.paper.tables import ENVIRONMENTS, Cell, Setting, solved_return, table
+from ril.report.paper.tables import (
+    ENVIRONMENTS,
+    Cell,
+    Setting,
+    main_setting,
+    solved_return,
+    table,
+)
 from ril.report.variants import variants
 
 
@@ -30,10 +38,10 @@ class Drawing:
     """One figure.
 
     Attributes:
-        name: of its files and its place in the page.
-        title: what it is, with the paper's number if it has one.
-        caption: what is seen in it.
-        draw: makes it from our rows and a score ("best" or "last"); None without any to draw.
+        name: of its files, and its anchor in the page.
+        title: in words, with the paper's number if it has one.
+        caption: below it.
+        draw: draws it from our rows and a score ("best" or "last"); None without rows.
     """
 
     name: str
@@ -43,7 +51,7 @@ class Drawing:
 
 
 def _returns(method: str, evidence: Evidence) -> dict[str, float]:
-    """Ours of Table 2's Random or Expert by environment; the paper's where it is not run."""
+    """Return our AER of Table 2's Random or Expert by environment; the paper's if not run."""
     returns = {}
     for cell in table("table2").cells():
         if cell.quantity == "aer" and cell.setting.method == method and cell.mean is not None:
@@ -53,13 +61,49 @@ def _returns(method: str, evidence: Evidence) -> dict[str, float]:
 
 
 def _references(evidence: Evidence) -> dict[str, Reference]:
-    """What returns are measured against in each environment."""
+    """Return the reference returns of each environment."""
     random, expert = _returns("Random", evidence), _returns("Expert", evidence)
     return {env: Reference(random[env], expert[env], solved_return(env)) for env in ENVIRONMENTS}
 
 
+def overviews(evidence: Evidence) -> dict[str, str]:
+    """Draw Table 2 at a glance, an SVG file per color theme."""
+    shown = table("table2", evidence.beyond)
+    pairs: dict[tuple[str, str, str], Pair] = {}
+    for cell in shown.cells():
+        place = cell.setting.method, cell.quantity, cell.setting.env
+        pairs[place] = _ours(find(cell, evidence)), _papers(cell)
+    methods = dict.fromkeys(method for method, _, _ in pairs if method not in REFERENCES)
+    lines = [
+        Line(
+            method,
+            [pairs[method, "aer", env] for env in ENVIRONMENTS],
+            pairs[method, "performance", "average"],
+        )
+        for method in methods
+    ]
+    references = _references(evidence)
+    panels = [(name, references[env]) for env, name in ENVIRONMENTS.items()]
+    return {theme: overview(panels, lines, theme) for theme in THEMES}
+
+
+def _ours(found: Finding) -> Result | None:
+    """Return our mean and interval."""
+    if found.mean is None:
+        return None
+    low, high = found.interval or (found.mean, found.mean)
+    return Result(found.mean, low, high, bool(found.reduced))
+
+
+def _papers(cell: Cell) -> Result | None:
+    """Return the paper's mean and ±."""
+    if cell.mean is None:
+        return None
+    return Result(cell.mean, cell.mean - (cell.std or 0), cell.mean + (cell.std or 0))
+
+
 def _boxplots(evidence: Evidence, score: str) -> Figure:
-    """Table 4's methods, and those of one trajectory beside them."""
+    """Draw the methods of Table 4, and those beyond the paper."""
     ours: dict[str, dict[str, tuple[float, ...]]] = {}
     papers: dict[str, dict[str, tuple[float, float | None]]] = {}
     shown = table("table4", evidence.beyond)
@@ -68,15 +112,15 @@ def _boxplots(evidence: Evidence, score: str) -> Figure:
             setting = cell.setting
             ours.setdefault(setting.method, {})[setting.env] = find(cell, evidence, score).values
             if cell.mean is not None:
-                papers.setdefault(setting.method, {})[setting.env] = cell.mean, cell.spread
+                papers.setdefault(setting.method, {})[setting.env] = cell.mean, cell.std
     return boxplots(ours, papers, _references(evidence))
 
 
 def _one_trajectory(evidence: Evidence) -> Iterator[Setting]:
-    """Every method in every environment, from one expert trajectory or rewards alone."""
+    """Yield every method's main setting in every environment."""
     for method in aggregates.methods(evidence):
         for env in ENVIRONMENTS:
-            yield Setting(method, env, trajectories=1, k=2, n=150)
+            yield main_setting(method, env)
 
 
 def _curves(evidence: Evidence, score: str) -> Figure | None:
@@ -101,11 +145,11 @@ def _curves(evidence: Evidence, score: str) -> Figure | None:
 
 def _sensitivity(name: str, axis: str, words: str) -> Callable[[Evidence, str], Figure]:
     def draw(evidence: Evidence, score: str) -> Figure:
-        usual = _returns("Expert", evidence)
+        experts = _returns("Expert", evidence)
         points = [
             Point(
                 cell.setting.env,
-                _position(cell, axis, usual),
+                _position(cell, axis, experts),
                 find(cell, evidence, score).values,
                 cell.mean,
             )
@@ -117,41 +161,41 @@ def _sensitivity(name: str, axis: str, words: str) -> Callable[[Evidence, str], 
     return draw
 
 
-def _position(cell: Cell, axis: str, usual: Mapping[str, float]) -> float:
-    """Where a cell stands on an axis; the usual expert at its own return."""
+def _position(cell: Cell, axis: str, experts: Mapping[str, float]) -> float:
+    """Return a cell's position on an axis; that of the usual expert is its own return."""
     value: float | None = getattr(cell.setting, axis)
-    return usual[cell.setting.env] if value is None else value
+    return experts[cell.setting.env] if value is None else value
 
 
 def _aggregates(evidence: Evidence, score: str) -> Figure | None:
-    over_all = aggregates.aggregates(aggregates.performances(evidence, score))
-    return statistics.aggregates(over_all) if over_all else None
+    found = aggregates.aggregates(aggregates.performances(evidence, score))
+    return statistics.aggregates(found) if found else None
 
 
 def _improvement(evidence: Evidence, score: str) -> Figure | None:
-    ahead = aggregates.improvements(aggregates.performances(evidence, score))
-    return statistics.improvement(ahead) if ahead else None
+    found = aggregates.improvements(aggregates.performances(evidence, score))
+    return statistics.improvement(found) if found else None
 
 
 def _variants(evidence: Evidence, score: str) -> Figure | None:
-    apart = [each for each in variants(evidence, score) if each.keys and each.gains]
-    return changes(apart) if apart else None
+    found = [each for each in variants(evidence, score) if each.keys and each.gains]
+    return changes(found) if found else None
 
 
-#: The policies of Table 1 by their titles in the paper.
+#: The policies of Table 1, by their titles in the paper's figures.
 _POLICIES = {"RL (DQN₁)": "DQN₁", "IL (IUPE)": "IUPE", "RIL": "RIL"}
 
 
 def _of_policies(
     draw: Callable[[mountaincar.Policies, mountaincar.Commands], Figure],
 ) -> Callable[[Evidence, str], Figure]:
-    """A figure of the policies on MountainCar, each of the run's median seed."""
+    """Return a figure of the policies on MountainCar, each of its run's median seed."""
 
     def drawn(evidence: Evidence, score: str) -> Figure:
         policies: dict[str, DiscretePolicy | None] = {"π*": optimal_policy()}
         commands = {}
         for title, method in _POLICIES.items():
-            setting = Setting(method, "mountaincar", trajectories=1, k=2, n=150)
+            setting = main_setting(method, "mountaincar")
             policies[title] = _median_policy(evidence.of_setting(setting), score)
             commands[title] = command([setting])
         return draw(policies, commands)
@@ -160,7 +204,7 @@ def _of_policies(
 
 
 def _median_policy(rows: pd.DataFrame, score: str) -> DiscretePolicy | None:
-    """The saved policy of the median seed; None without one."""
+    """Load the saved policy of the median seed; None without one."""
     if rows.empty:
         return None
     seed = mountaincar.representative_seed(rows)
@@ -171,21 +215,21 @@ def _median_policy(rows: pd.DataFrame, score: str) -> DiscretePolicy | None:
         return None
 
 
-_MEDIAN = "Of each method the seed whose return is its run's median."
+_MEDIAN = "Each learned policy is of the seed with the median return."
 DRAWINGS: dict[str, tuple[Drawing, ...]] = {
     "figure2": (
         Drawing(
             "figure2",
-            "Figure 2. Probability of the likeliest action on MountainCar",
-            f"By state, for an optimal policy π* and three learnt ones. {_MEDIAN}",
+            "Figure 2. Probability of the most likely action on MountainCar",
+            f"By state, for an optimal policy π* and three learned policies. {_MEDIAN}",
             _of_policies(mountaincar.probability_meshes),
         ),
     ),
     "figure3": (
         Drawing(
             "figure3",
-            "Figure 3. Where policies act as an optimal one does on MountainCar",
-            f"20 × 20 states, coloured by action where it is π*'s. {_MEDIAN}",
+            "Figure 3. Agreement with an optimal policy on MountainCar",
+            f"20 × 20 states, colored by action where it is that of π*. {_MEDIAN}",
             _of_policies(mountaincar.action_maps),
         ),
     ),
@@ -193,7 +237,7 @@ DRAWINGS: dict[str, tuple[Drawing, ...]] = {
         Drawing(
             "figure4",
             "Figure 4. Returns of all methods",
-            "Boxes are quartiles over seeds, dots the seeds; imitation from 100 trajectories, as "
+            "Boxes show quartiles over seeds, dots show seeds. Imitation uses 100 trajectories, as "
             "in Table 4. The paper's boxes are most likely over episodes.",
             _boxplots,
         ),
@@ -201,14 +245,14 @@ DRAWINGS: dict[str, tuple[Drawing, ...]] = {
     "figure5": (
         Drawing(
             "figure5ab",
-            "Figure 5a, b. Equation 2: the upper limit of the policy's own samples",
-            "By k with n = 150, and by n with k = 2, over 150 epochs.",
+            "Figure 5a, b. Equation 2: upper limit on the policy's own samples",
+            "Over 150 epochs, for each k with n = 150, and for each n with k = 2.",
             lambda evidence, score: limits(),
         ),
         Drawing(
             "figure5c",
             "Figure 5c. Action probabilities along one trajectory on MountainCar",
-            f"The states of π*'s trajectory, for every policy. {_MEDIAN}",
+            f"In the states of a trajectory of π*. {_MEDIAN}",
             _of_policies(mountaincar.action_distributions),
         ),
     ),
@@ -216,11 +260,11 @@ DRAWINGS: dict[str, tuple[Drawing, ...]] = {
         Drawing(
             "curves",
             "Learning curves",
-            "Return of each seed's best look so far (with --score last, of its last) against "
-            "samples as §5.2.2 counts them, from one expert trajectory or rewards alone; means "
-            "over seeds and their 95 % intervals. A look is of few episodes and the best of many "
-            "is lucky, so lines may end above the tables' returns, which are of fresh episodes. "
-            "The star is what the paper says of RIL.",
+            "Return of each seed's best evaluation so far (with --score last: its latest) against "
+            "samples as counted in §5.2.2, from one expert trajectory or rewards alone: means over "
+            "seeds with 95 % intervals. An evaluation has few episodes, and the best of many "
+            "evaluations is biased upwards: lines may end above the tables' returns, which are "
+            "measured on fresh episodes. The star is the paper's RIL.",
             _curves,
         ),
     ),
@@ -228,7 +272,7 @@ DRAWINGS: dict[str, tuple[Drawing, ...]] = {
         Drawing(
             f"sensitivity_{axis}",
             f"RIL by {words} (Table {number})",
-            "Means over seeds with 95 % intervals, seeds as dots, beside the paper's means.",
+            "Our means over seeds with 95 % intervals, seeds as dots, and the paper's means.",
             _sensitivity(f"table{number}", axis, words),
         )
         for number, axis, words in (
@@ -242,23 +286,23 @@ DRAWINGS: dict[str, tuple[Drawing, ...]] = {
         Drawing(
             "aggregates",
             "Performance over all environments",
-            "From one expert trajectory or rewards alone; only of methods that are run on all "
-            "four environments. The line is the expert's.",
+            "From one expert trajectory or rewards alone, for methods that are run on all four "
+            "environments. The dashed line is the expert.",
             _aggregates,
         ),
         Drawing(
             "improvement",
             "Probability that RIL improves on each method",
-            "Mean over environments of the share of pairs of seeds in which RIL's is better.",
+            "Share of pairs of seeds in which RIL is better, averaged over environments.",
             _improvement,
         ),
     ),
     "variants": (
         Drawing(
             "variants",
-            "What each key changes",
-            "Performance P of runs with keys set apart less that of the same seeds of the method "
-            "as it comes; means over seeds and their 95 % intervals.",
+            "Effect of each overridden key",
+            "Performance P of runs with overridden keys minus that of the same seeds by default: "
+            "means over seeds with 95 % intervals.",
             _variants,
         ),
     ),
@@ -266,5 +310,5 @@ DRAWINGS: dict[str, tuple[Drawing, ...]] = {
 
 
 def drawings(targets: Iterable[str]) -> Iterator[Drawing]:
-    """The figures among what is asked for."""
+    """Iterate over the figures of some targets."""
     return (drawing for name in targets for drawing in DRAWINGS.get(name, ()))

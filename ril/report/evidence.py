@@ -1,4 +1,4 @@
-"""The rows on disk that speak for a setting of the paper, and the command that makes them."""
+"""The rows on disk that belong to a setting of the paper, and the command that produces them."""
 
 from __future__ import annotations
 
@@ -15,27 +15,25 @@ from numpy.typing import NDArray
 from ril.io.rows import load_curves, load_results
 from ril.report.paper.tables import Setting, Table, known_methods
 
-TUNING_SEEDS = 100  # settings are chosen on seeds from here up, which are not reported on
-#: Methods that see no expert: its trajectories are not theirs to vary.
-_WITHOUT_EXPERT = ("dqn", "dqn_prioritized", "ppo", "acktr")
+TUNING_SEEDS = 100  # settings are tuned on seeds from here up, which are not reported
 
 _AXES = ("trajectories", "k", "n", "expert_return")
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What some folders of runs hold.
+    """The rows and learning curves of some folders of runs.
 
     Attributes:
-        rows: a row per run and seed, as `results.Row` has them, and the run's `folder`; of
-            reported seeds only, the method as it comes or not.
-        curves: a row per look at a policy while it trained: run_id, seed, epoch, samples, aer.
-        left_out: what was found and not used, a line each.
+        rows: a row per run and seed with the fields of `ril.io.rows.Row` and the run's `folder`;
+            reported seeds only, default and overridden configurations alike.
+        curves: a row per evaluation during training: run_id, seed, epoch, samples, aer.
+        skipped: files and lines that could not be used, a line each.
     """
 
     rows: pd.DataFrame
     curves: pd.DataFrame
-    left_out: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, folders: Sequence[Path]) -> Evidence:
@@ -47,22 +45,29 @@ class Evidence:
 
     @property
     def beyond(self) -> tuple[str, ...]:
-        """Methods among the rows that the paper does not have."""
+        """Methods among the rows that are not in the paper."""
         return tuple(sorted(set(self.rows["method"]) - known_methods()))
 
     @cached_property
     def _places(self) -> dict[tuple[Any, ...], NDArray[np.int64]]:
         """Positions of rows by method, environment, variant or not, and values of `_AXES`."""
-        apart = self.rows["variant"] != ""
-        keys = [self.rows["method"], self.rows["env"], apart, *(self.rows[axis] for axis in _AXES)]
+        is_variant = self.rows["variant"] != ""
+        axes = (self.rows[axis] for axis in _AXES)
+        keys = [self.rows["method"], self.rows["env"], is_variant, *axes]
         return cast(dict[tuple[Any, ...], Any], self.rows.groupby(keys, dropna=False).indices)
 
+    @cached_property
+    def _reported(self) -> dict[Setting, pd.DataFrame]:
+        """Rows by setting, since several tables and figures use the same ones."""
+        return {}
+
     def matching(self, setting: Setting, *, variants: bool = False) -> pd.DataFrame:
-        """All rows that were run in a setting, of runs of any length.
+        """Return all rows of a setting, whatever their budget.
 
         Args:
-            setting: what to look for; None in it fits the usual expert, or anything.
-            variants: those with keys set apart instead of the method as it comes.
+            setting: its `expert_return` None matches the usual expert only; of the other fields,
+                rows match that have the same value or, as their method has no such key, none.
+            variants: return runs with overridden keys instead of the default configuration.
         """
         method, level = (setting.method_key, setting.env, variants), setting.expert_return
         numbers = (setting.trajectories, setting.k, setting.n)
@@ -71,7 +76,6 @@ class Evidence:
             for (*of, trajectories, k, n, expert_return), at in self._places.items()
             if tuple(of) == method
             and (pd.isna(expert_return) if level is None else expert_return == level)
-            # Empty where a method has no such thing.
             and all(
                 pd.isna(x) or x == y for x, y in zip((trajectories, k, n), numbers, strict=True)
             )
@@ -79,59 +83,65 @@ class Evidence:
         return self.rows.iloc[np.sort(np.concatenate([np.empty(0, np.int64), *fitting]))]
 
     def of_setting(self, setting: Setting) -> pd.DataFrame:
-        """The rows that are reported of a setting, a row per seed; empty if there are none."""
-        return fullest(self.matching(setting))
+        """Return the rows reported for a setting, one per seed; empty if there are none."""
+        if setting not in self._reported:
+            self._reported[setting] = largest_group(self.matching(setting))
+        return self._reported[setting]
 
     def curves_of(self, setting: Setting) -> pd.DataFrame:
-        """The curves of the rows that are reported of a setting, ordered by seed and epoch."""
+        """Return the curves of the rows reported for a setting, ordered by seed and epoch."""
         return self.curves.merge(self.of_setting(setting)[["run_id", "seed"]])
 
 
-def fullest(rows: pd.DataFrame) -> pd.DataFrame:
-    """Of several runs of one setting, the seeds of those that trained equally long, together.
+def largest_group(rows: pd.DataFrame) -> pd.DataFrame:
+    """Select, of several runs of one setting, those of one budget that have the most seeds.
 
-    Of different lengths, that with the most seeds, then the longest; of a seed that was run
-    twice, its newer row. The empty frame if there are none.
+    Of budgets with equally many seeds the longest is selected; of a seed that was run twice, the
+    newer row. Without rows the result is empty.
     """
     if rows.empty:
         return rows
-    length = lengths(rows)
-    seeds = rows.groupby(length)["seed"].nunique().sort_index()
+    budget = budgets(rows)
+    seeds = rows.groupby(budget)["seed"].nunique().sort_index()
     chosen = seeds[seeds == seeds.max()].index[-1]
-    together: pd.DataFrame = rows[length == chosen].drop_duplicates("seed", keep="last")
+    together: pd.DataFrame = rows[budget == chosen].drop_duplicates("seed", keep="last")
     return together.sort_values("seed")
 
 
-def lengths(rows: pd.DataFrame) -> pd.Series:
-    """How long the run of each row trained: (total_timesteps, epochs)."""
-    budgets = rows.groupby("run_id")[["total_timesteps", "epochs"]].transform("max").fillna(0)
-    return pd.Series(list(budgets.itertuples(index=False, name=None)), rows.index, dtype=object)
+def budgets(rows: pd.DataFrame) -> pd.Series:
+    """Return the training budget of each row's run: (total_timesteps, epochs)."""
+    found = rows.groupby("run_id")[["total_timesteps", "epochs"]].transform("max").fillna(0)
+    return pd.Series(list(found.itertuples(index=False, name=None)), rows.index, dtype=object)
 
 
-def shortfall(rows: pd.DataFrame, table: Table, method: str) -> tuple[str, ...]:
-    """In what a setting's rows fall short of a table's seeds and the method's budget, in words."""
-    beyond = rows["method"].iloc[0] not in known_methods()  # such are given what RIL is
-    budget = table.budget.get("RIL" if beyond else method, {})
-    wanted = {"seeds": table.seeds, **budget}
+def reductions(rows: pd.DataFrame, table: Table, method: str) -> tuple[str, ...]:
+    """Say where rows have fewer seeds or a smaller budget than the paper: "3 of 10 seeds".
+
+    Args:
+        rows: of one setting.
+        table: of the paper, with its number of seeds and its budgets.
+        method: by the paper's name; one beyond the paper is compared with RIL's budget.
+    """
+    is_beyond = rows["method"].iloc[0] not in known_methods()
+    budget = table.budget.get("RIL" if is_beyond else method, {})
     names = dict.fromkeys(("env_samples", "total_timesteps"), "environment steps")
-    short = []
-    for what, full in wanted.items():
+    found = []
+    for what, full in {"seeds": table.seeds, **budget}.items():
         have = len(rows) if what == "seeds" else int(rows[what].fillna(0).min())
         if have < full:
-            short.append(f"{have:,} of {full:,} {names.get(what, what)}")
-    return tuple(short)
+            found.append(f"{have:,} of {full:,} {names.get(what, what)}")
+    return tuple(found)
 
 
 def command(settings: Iterable[Setting]) -> str:
-    """The command that runs some settings of one method; a sweep over all that they differ in."""
+    """Return the command that runs some settings of one method, as a sweep if they are several."""
     several = list(settings)
     parts = ["ril-run", f"env={_joined(s.env for s in several)}"]
     parts.append(f"method={_joined(s.method_key for s in several)}")
-    usual = {"trajectories": 1, "k": 2, "n": 150, "expert_return": None}
-    for key, default in usual.items():
+    defaults = {"trajectories": 1, "k": 2, "n": 150, "expert_return": None}
+    for key, default in defaults.items():
         values = [getattr(s, key) for s in several]
-        idle = key == "trajectories" and several[0].method_key in _WITHOUT_EXPERT
-        if not idle and any(value not in (default, None) for value in values):
+        if any(value not in (default, None) for value in values):
             shown = ("null" if value is None else f"{value:g}" for value in values)
             parts.append(f"ablation.{key}={_joined(shown)}")
     if any("," in part for part in parts):

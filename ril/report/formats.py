@@ -1,15 +1,17 @@
-"""Tables as Markdown, for a terminal, as LaTeX, or as plain data."""
+"""Tables as Markdown, terminal text, LaTeX or CSV."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import pandas as pd
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from ril.report.layout import Grid, Results, signed
+from ril.report.layout import Grid, Results
+from ril.report.numbers import signed
 
 _VERDICT_STYLES = {"matches": "blue", "better": "green", "worse": "red", "not run": "dim"}
 _LATEX = {
@@ -35,22 +37,25 @@ _LATEX_SPECIAL = re.compile("|".join(map(re.escape, _LATEX)))
 
 
 def as_markdown(grid: Grid) -> str:
-    """A table as Markdown that also reads well as it is, with notes below it."""
-    lines = [[cell.replace("|", r"\|") for cell in line] for line in (grid.head, *grid.body)]
+    """Write a table as Markdown, its title above and its notes below."""
+    text = f"**{grid.title}**\n\n{markdown_table(grid.head, grid.body)}"
+    return text + "".join(f"\n- {note}" for note in grid.notes) + "\n" * bool(grid.notes)
+
+
+def markdown_table(head: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    """Write a Markdown table with aligned columns."""
+    lines = [[cell.replace("|", r"\|") for cell in line] for line in (head, *body)]
     widths = [max(3, *map(len, column)) for column in zip(*lines, strict=True)]
     rules = ["-" * width for width in widths]
     padded = [
         [cell.ljust(width) for cell, width in zip(line, widths, strict=True)]
         for line in (lines[0], rules, *lines[1:])
     ]
-    text = [f"**{grid.title}**", "", *(f"| {' | '.join(line)} |" for line in padded)]
-    if grid.notes:
-        text += ["", *(f"- {note}" for note in grid.notes)]
-    return "\n".join(text) + "\n"
+    return "".join(f"| {' | '.join(line)} |\n" for line in padded)
 
 
 def as_table(grid: Grid) -> Table:
-    """A table for a terminal."""
+    """Lay out a table for a terminal."""
     table = Table(title=grid.title, title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     for number, name in enumerate(grid.head):
         if number < grid.labels:
@@ -65,7 +70,7 @@ def as_table(grid: Grid) -> Table:
 
 
 def as_latex(grid: Grid) -> str:
-    """A table as a LaTeX float; it needs the package booktabs."""
+    """Write a table as a LaTeX float, which needs the package booktabs."""
     columns = "l" * grid.labels + "r" * (len(grid.head) - grid.labels)
     text = [
         r"\begin{table}",
@@ -95,27 +100,27 @@ def _escaped(text: str) -> str:
 
 
 def grid_as_csv(grid: Grid) -> str:
-    """A table of texts as CSV."""
+    """Write a table of text as CSV."""
     return pd.DataFrame(grid.body, columns=grid.head).to_csv(index=False)
 
 
 def as_csv(contents: list[Results]) -> str:
-    """Tables as CSV, a line per number: what it is of, ours, the paper's, and the verdict."""
+    """Write tables as CSV, a line per number: its setting, ours, the paper's, the verdict."""
     lines = pd.DataFrame(
         {
             "table": found.cell.table,
             "quantity": found.cell.quantity,
             **vars(found.cell.setting),
             "mean": found.mean,
-            "std": found.spread,
+            "std": found.std,
             "score": content.score,
             "seeds": None if found.cell.setting.env == "average" else len(found.values),
             "low": found.interval[0] if found.interval else None,
             "high": found.interval[1] if found.interval else None,
             "paper_mean": found.cell.mean,
-            "paper_spread": found.cell.spread,
+            "paper_std": found.cell.std,
             "verdict": found.verdict,
-            "short": "; ".join(found.short),
+            "reduced": "; ".join(found.reduced),
             "command": found.command,
             "run_ids": " ".join(found.run_ids),
         }

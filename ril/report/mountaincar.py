@@ -19,10 +19,10 @@ from ril.environments import Floats
 from ril.policy import load_policy
 
 ACTIONS = ("left", "none", "right")
-#: Positions from which each policy plays one episode, at rest: evenly over all that a reset draws.
+#: Start positions, at rest, evenly over the range of `reset`: each policy plays one episode each.
 STARTS = np.linspace(-0.6, -0.4, 100)
-#: What a one-hot distribution has where it should have 0. In an episode of 86 steps, as the paper's
-#: π* plays, 15 and 7 other actions then give the paper's 1.7345 and 0.8094.
+#: Replaces the zeros of one-hot distributions. In an episode of 86 steps, the length of the paper's
+#: π*, 15 and 7 different actions then give the paper's 1.7345 and 0.8094.
 SMOOTHING = 4.792e-5
 
 _CAR = MountainCarEnv()
@@ -40,19 +40,19 @@ class DiscretePolicy(Protocol):
     """A policy over raw observations, such as `ril.policy.Policy`."""
 
     def values(self, observations: Floats, /) -> NDArray[np.floating]:
-        """Raw observations (N, 2) to (N, 3) outputs, whose softmax are the probabilities."""
+        """Return the (N, 3) outputs whose softmax is the policy, for raw observations (N, 2)."""
 
     def probabilities(self, observations: Floats, /) -> NDArray[np.floating]:
-        """Raw observations (N, 2) to (N, 3) probabilities."""
+        """Return (N, 3) action probabilities for raw observations (N, 2)."""
 
     def predict(self, observations: Floats, /) -> NDArray[np.int64]:
-        """Raw observations (N, 2) to (N,) greedy actions."""
+        """Return (N,) greedy actions for raw observations (N, 2)."""
 
 
 def step(
     states: NDArray[np.floating], actions: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """One step of MountainCar-v0 for many cars.
+    """Advance many cars of MountainCar-v0 by one step.
 
     Args:
         states: (..., 2) position and velocity.
@@ -71,11 +71,11 @@ def step(
 
 
 def _lookahead(states: NDArray[np.floating]) -> csr_array:
-    """(3N, nodes) weights that interpolate what follows each action in N states; 0 at the goal."""
+    """Return (3N, nodes) weights that interpolate the next states of N states; 0 at the goal."""
     following, terminated = step(states, np.arange(len(ACTIONS))[:, None])
     scaled = (following.reshape(-1, 2) - _LOW) / (_HIGH - _LOW) * (_NODES - 1)
     corner = np.minimum(scaled.astype(np.int32), _NODES - 2)
-    shares = np.stack([1 - (scaled - corner), scaled - corner])  # below and above, by axis
+    shares = np.stack([1 - (scaled - corner), scaled - corner])  # of lower and upper node, by axis
     weights = np.einsum("in,jn->nij", shares[..., 0], shares[..., 1])
     weights *= ~terminated.reshape(-1, 1, 1)
     first = corner[:, 0] * _NODES[1] + corner[:, 1]
@@ -86,7 +86,7 @@ def _lookahead(states: NDArray[np.floating]) -> csr_array:
 
 @dataclass(frozen=True)
 class OptimalPolicy:
-    """π*: what reaches the goal in the fewest steps.
+    """π*, which reaches the goal in the fewest steps.
 
     Attributes:
         node_values: (nodes,) minus the steps to the goal from each node of a grid of states.
@@ -95,17 +95,17 @@ class OptimalPolicy:
     node_values: Array
 
     def values(self, observations: Floats) -> Array:
-        """Observations (N, 2) to (N, 3) Q*: minus the steps to the goal after each action."""
+        """Return (N, 3) Q*, minus the steps to the goal after each action."""
         after: Array = _lookahead(observations) @ self.node_values
         return after.reshape(len(ACTIONS), -1).T - 1
 
     def probabilities(self, observations: Floats) -> Array:
-        """Observations (N, 2) to (N, 3) softmax of Q*."""
+        """Return the (N, 3) softmax of Q*."""
         probabilities: Array = softmax(self.values(observations), axis=-1)
         return probabilities
 
     def predict(self, observations: Floats) -> NDArray[np.int64]:
-        """Observations (N, 2) to (N,) best actions; of equally good ones, that along the motion."""
+        """Return (N,) best actions; among equally good ones, the one along the motion."""
         values = self.values(observations)
         best = values >= values.max(axis=-1, keepdims=True) - _TIE
         along = np.sign(observations[:, 1:]) * (np.arange(len(ACTIONS)) - 1)
@@ -115,7 +115,7 @@ class OptimalPolicy:
 
 @cache
 def optimal_policy() -> OptimalPolicy:
-    """π* by value iteration, undiscounted, on a grid of 541 positions × 421 velocities."""
+    """Compute π* by undiscounted value iteration on a grid of 541 positions × 421 velocities."""
     axes = (np.linspace(*bounds) for bounds in zip(_LOW, _HIGH, _NODES, strict=True))
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     lookahead = _lookahead(grid.reshape(-1, 2))
@@ -128,11 +128,11 @@ def optimal_policy() -> OptimalPolicy:
 
 
 def play(policy: DiscretePolicy, positions: NDArray[np.floating]) -> tuple[Array, Floats]:
-    """Greedy episodes from some positions at rest, all at once, up to 200 steps each.
+    """Play greedy episodes of at most 200 steps from some positions at rest, all at once.
 
     Args:
-        policy: which acts.
-        positions: (N,) where the episodes start.
+        policy: that acts.
+        positions: (N,) start positions.
 
     Returns:
         (N,) returns, and (M, 2) all states in which the policy acted, step by step.
@@ -142,7 +142,7 @@ def play(policy: DiscretePolicy, positions: NDArray[np.floating]) -> tuple[Array
     running = np.arange(len(states))
     visited = []
     for _ in range(_EPISODE_STEPS):
-        visited.append(states.astype(np.float32))  # as the environment rounds what it shows
+        visited.append(states.astype(np.float32))  # the precision of the environment's observations
         returns[running] -= 1
         states, terminated = step(states, policy.predict(visited[-1]))
         states, running = states[~terminated], running[~terminated]
@@ -152,9 +152,9 @@ def play(policy: DiscretePolicy, positions: NDArray[np.floating]) -> tuple[Array
 
 
 def cells(count: int = 20) -> Floats:
-    """(count, count, 2) states amid the cells of a grid: positions up to the goal × velocities.
+    """Return (count, count, 2) centers of a grid of states: positions up to the goal × velocities.
 
-    Beyond the goal no policy acts. 20 × 20 is Figure 3's.
+    Figure 3 has 20 × 20 cells.
     """
     middles = (np.arange(count) + 0.5) / count
     high = np.array([_CAR.goal_position, _CAR.max_speed])
@@ -164,25 +164,25 @@ def cells(count: int = 20) -> Floats:
 
 
 def agreement(policy: DiscretePolicy, states: Floats) -> NDArray[np.bool_]:
-    """In which of the states (N, 2) a policy's greedy action is π*'s."""
+    """Return (N,) whether a policy's greedy action is that of π* in states (N, 2)."""
     same: NDArray[np.bool_] = policy.predict(states) == optimal_policy().predict(states)
     return same
 
 
 def divergence(policy: DiscretePolicy, states: Floats) -> Array:
-    """KL(π* ‖ π) of the action probabilities in each of the states (N, 2), in nats."""
+    """Compute (N,) KL(π* ‖ π) of the action probabilities in states (N, 2), in nats."""
     return _kl(_log_probabilities(optimal_policy(), states), _log_probabilities(policy, states))
 
 
 def greedy_divergence(policy: DiscretePolicy, states: Floats) -> Array:
-    """KL(π* ‖ π) of the greedy actions as smoothed one-hots in each of the states (N, 2)."""
+    """Compute (N,) KL(π* ‖ π) of greedy actions, as smoothed one-hots, in states (N, 2)."""
     smoothed = np.where(np.eye(len(ACTIONS)), 1 - 2 * SMOOTHING, SMOOTHING)
     one_hots = np.log(smoothed)
     return _kl(one_hots[optimal_policy().predict(states)], one_hots[policy.predict(states)])
 
 
 def _log_probabilities(policy: DiscretePolicy, states: Floats) -> Array:
-    """(N, 3): of the outputs, since a probability may round to 0."""
+    """Return (N, 3) from the outputs, since a probability may round to 0."""
     logs: Array = log_softmax(policy.values(states).astype(np.float64), axis=-1)
     return logs
 
@@ -198,12 +198,12 @@ def _optimal_episodes() -> tuple[Array, Floats]:
 
 
 def optimal_reward() -> float:
-    """Mean return of π* from all starts (Table 1)."""
+    """Return the mean return of π* from all starts (Table 1)."""
     return float(_optimal_episodes()[0].mean())
 
 
 class Measures(NamedTuple):
-    """What Table 1 says of a policy, and the shares of states in which it acts as π* does.
+    """Table 1's measures of a policy, and the shares of states in which it acts as π* does.
 
     Attributes:
         reward: mean return from all starts.
@@ -221,7 +221,7 @@ class Measures(NamedTuple):
 
 
 def measures(policy: DiscretePolicy) -> Measures:
-    """How far a policy is from π* (Table 1)."""
+    """Measure how far a policy is from π* (Table 1)."""
     _, visited = _optimal_episodes()
     return Measures(
         reward=float(play(policy, STARTS)[0].mean()),
@@ -233,17 +233,17 @@ def measures(policy: DiscretePolicy) -> Measures:
 
 
 def divergences(rows: pd.DataFrame, which: str = "best") -> pd.DataFrame:
-    """Table 1 for the saved policies of some runs' seeds.
+    """Measure the saved policies of some runs' seeds (Table 1).
 
     Args:
-        rows: each a `seed` of the run in `folder`, where its `policy.pt` is.
+        rows: each a `seed` of the run whose `policy.pt` is in `folder`.
         which: "best" or "last" policy of each.
 
     Returns:
-        The fields of `Measures` as columns, for each of the rows.
+        The fields of `Measures` as columns, for each row.
 
     Raises:
-        UserError: the policies cannot be read, or a seed is not among them.
+        UserError: a policy cannot be read, or a seed is not in its file.
     """
     places = zip(rows["folder"], rows["seed"], strict=True)
     found = [_saved(folder / "policy.pt", seed, which) for folder, seed in places]

@@ -1,15 +1,13 @@
-"""The whole report as one HTML page that needs nothing but itself."""
+"""The whole report as one self-contained HTML page."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from urllib.parse import urlencode
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -17,15 +15,15 @@ from markupsafe import Markup
 from ril.io.paths import docs_folder
 from ril.report import layout
 from ril.report.deviations import documents
-from ril.report.findings import VERDICTS, Finding
+from ril.report.findings import SIGNS, VERDICTS, Finding
+from ril.report.numbers import number, signed
 from ril.report.paper.audit import Contradiction
 from ril.report.paper.tables import ENVIRONMENTS, TABLES, Table
 from ril.report.provenance import Run
 from ril.report.statistics import Aggregate
+from ril.report.tally import Tally
 
 _WEB = Path(__file__).parent / "web"
-#: A verdict is told by a sign too, for those who do not see its colour.
-_SIGNS = {"matches": "✓", "better": "▲", "worse": "▼", "not run": "○", "": "–"}
 
 
 @dataclass(frozen=True)
@@ -34,9 +32,9 @@ class Drawn:
 
     Attributes:
         name: "figure4"; its anchor in the page.
-        title: what it is.
-        caption: what one sees in it.
-        svg: its markup, trusted; "" if there is nothing to draw yet.
+        title: in words.
+        caption: below it.
+        svg: trusted markup; "" without rows to draw.
     """
 
     name: str
@@ -47,18 +45,18 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Report:
-    """All that a page shows.
+    """The contents of a page.
 
     Attributes:
         score: of each run's "best" or "last" policy.
         tables: of the paper, with our findings.
         figures: in order.
-        aggregates: of performance P, by the paper's name of the method.
-        improvement: probability that RIL is better and its interval, by the other method.
-        variants: what keys set apart change.
-        contradictions: of the paper with itself.
-        runs: whose rows are used.
-        left_out: rows that were found and not used, a line each.
+        aggregates: of performance P, by method.
+        improvement: probability that RIL is better, with its interval, by the other method.
+        variants: effect of overridden keys.
+        contradictions: within the paper.
+        runs: provenance of the rows.
+        skipped: files and lines that could not be used, a line each.
     """
 
     score: str
@@ -69,17 +67,17 @@ class Report:
     variants: layout.Grid
     contradictions: Sequence[Contradiction]
     runs: Sequence[Run]
-    left_out: Sequence[str]
+    skipped: Sequence[str]
 
 
 @dataclass(frozen=True)
 class Placed:
-    """A finding and where it stands in the page.
+    """A finding and its place in the page.
 
     Attributes:
         anchor: of its cell.
         place: row and column of its table, in words.
-        table: that it is of.
+        table: of the paper.
         found: our finding.
     """
 
@@ -89,46 +87,8 @@ class Placed:
     found: Finding
 
 
-@dataclass(frozen=True)
-class Tally:
-    """How often each verdict is found among some numbers.
-
-    Attributes:
-        title: of what they have in common.
-        filters: that choose them in the list of all numbers.
-        counts: by verdict and whether the rows are as many and as long as the paper's.
-    """
-
-    title: str
-    filters: Mapping[str, str]
-    counts: Counter[tuple[str, bool]]
-
-    def of(self, verdict: str) -> int:
-        """Numbers with a verdict."""
-        return self.counts[verdict, True] + self.counts[verdict, False]
-
-    @property
-    def total(self) -> int:
-        """All numbers."""
-        return self.counts.total()
-
-    @property
-    def measured(self) -> int:
-        """Numbers that are run."""
-        return self.total - self.of("not run")
-
-    @property
-    def full(self) -> int:
-        """Numbers that are run with the paper's seeds and budget."""
-        return sum(self.counts[verdict, True] for verdict in VERDICTS if verdict != "not run")
-
-    def query(self, **more: str) -> str:
-        """Filters that choose these numbers, and more of them, as a query."""
-        return urlencode({**self.filters, **more})
-
-
 def page(report: Report) -> str:
-    """The report as HTML that loads nothing: styles, script and figures are in it."""
+    """Render the report as HTML with styles, script and figures inline; the page loads nothing."""
     tables = [(content, _placed(content)) for content in report.tables]
     numbers = [
         placed
@@ -146,21 +106,22 @@ def page(report: Report) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["signed"] = layout.signed
+    environment.filters["signed"] = signed
     return environment.get_template("page.html.j2").render(
         report=report,
         tables=tables,
         whole=len(tables) == len(TABLES),
         numbers=numbers,
-        overall=_tally("All", {}, numbers),
+        overall=Tally.of_findings("All", (placed.found for placed in numbers)),
         by_table=_tallies("table", ((f"Table {one.table.number}", one) for one in numbers)),
         by_method=_tallies("method", ((one.found.cell.setting.method, one) for one in numbers)),
         deviations=documents(docs_folder()),
         run_ids={run.run_id for run in report.runs},
         environments=ENVIRONMENTS,
         layout=layout,
+        number=number,
         verdicts=VERDICTS,
-        signs=_SIGNS,
+        signs=SIGNS,
         style=Markup((_WEB / "page.css").read_text(encoding="utf-8")),
         script=Markup(script),
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
@@ -171,7 +132,7 @@ Line = tuple[tuple[str, ...], tuple[Placed | None, ...]]
 
 
 def _placed(content: layout.Results) -> list[list[Line]]:
-    """A table's rows, those with the same first label together, each cell with its anchor."""
+    """Group a table's rows by first label, each cell with its anchor."""
     table = content.table
     lines = [
         (
@@ -193,14 +154,9 @@ def _placed(content: layout.Results) -> list[list[Line]]:
     return [list(group) for _, group in groupby(lines, key=lambda line: line[0][0])]
 
 
-def _tally(title: str, filters: Mapping[str, str], numbers: Iterable[Placed]) -> Tally:
-    found = (placed.found for placed in numbers)
-    return Tally(title, filters, Counter((each.verdict, not each.short) for each in found))
-
-
 def _tallies(what: str, numbers: Iterable[tuple[str, Placed]]) -> list[Tally]:
-    """A tally per value of a filter, in the order in which they come."""
-    groups: dict[str, list[Placed]] = {}
+    """Count verdicts per value of a filter, in order of appearance."""
+    groups: dict[str, list[Finding]] = {}
     for value, placed in numbers:
-        groups.setdefault(value, []).append(placed)
-    return [_tally(value, {what: value}, together) for value, together in groups.items()]
+        groups.setdefault(value, []).append(placed.found)
+    return [Tally.of_findings(value, found, {what: value}) for value, found in groups.items()]

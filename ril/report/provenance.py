@@ -1,4 +1,4 @@
-"""Where the rows of each run come from: its `provenance.json`, read back."""
+"""The provenance of each run's rows, read from its `provenance.json`."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _LIBRARIES = ("torch", "numpy", "gymnasium")
 
 @dataclass(frozen=True)
 class Run:
-    """What is known of one run; "" where it is not.
+    """The provenance of one run; "" where it is unknown.
 
     Attributes:
         run_id: of the cell.
         env: name of the environment.
         method: name of the method.
-        variant: keys that were set apart from the cell's own.
-        seeds: in words, "0–9".
+        variant: overridden keys.
+        seeds: "0–9".
         commit: of the code.
         command: that started it.
         started: date and time in UTC.
         software: versions of Python and of the libraries that make the numbers.
         machine: processor and number of cores.
-        fault: what is wrong with its `provenance.json`.
+        fault: why its `provenance.json` cannot be used.
     """
 
     run_id: str
@@ -45,10 +45,10 @@ class Run:
 
 
 def runs(rows: pd.DataFrame) -> list[Run]:
-    """The runs that rows are of, in the rows' order.
+    """Return the provenance of the runs that rows belong to, in the rows' order.
 
     Args:
-        rows: a row per run and seed, as `results.Row` has them, and the run's `folder`.
+        rows: a row per run and seed with the fields of `ril.io.rows.Row` and the run's `folder`.
     """
     found = []
     for _, of_run in rows.groupby(["run_id", "folder"], sort=False):
@@ -60,7 +60,7 @@ def runs(rows: pd.DataFrame) -> list[Run]:
 
 
 def _read(file: Path) -> dict[str, str]:
-    """What a `provenance.json` adds to the rows, or what is wrong with it."""
+    """Read what a `provenance.json` adds to the rows, or why it cannot be used."""
     try:
         content = json.loads(file.read_bytes())
         libraries: dict[str, Any] = content.get("versions", {})
@@ -69,18 +69,18 @@ def _read(file: Path) -> dict[str, str]:
         return {"fault": "no provenance.json"}
     except (OSError, ValueError, AttributeError, RecursionError):
         return {"fault": "provenance.json cannot be read"}
-    said = {key: str(content.get(key) or "") for key in ("command", "started", "processor")}
+    texts = {key: str(content.get(key) or "") for key in ("command", "started", "processor")}
     cores = [f"{content['cores']} cores"] if content.get("cores") else []
     return {
-        "command": said["command"],
-        "started": said["started"][:16].replace("T", " "),
+        "command": texts["command"],
+        "started": texts["started"][:16].replace("T", " "),
         "software": ", ".join(f"{name} {version}" for name, version in versions.items() if version),
-        "machine": ", ".join(filter(None, [said["processor"], *cores])),
+        "machine": ", ".join(filter(None, [texts["processor"], *cores])),
     }
 
 
 def _ranges(seeds: Iterable[int]) -> str:
-    """Whole numbers in words: "0–3, 7"."""
+    """Write whole numbers as ranges: "0–3, 7"."""
     spans: list[list[int]] = []
     for seed in sorted(set(seeds)):
         if spans and seed == spans[-1][1] + 1:

@@ -1,7 +1,7 @@
-"""How sure a mean over few runs is: bootstrap intervals, and the aggregates built on them.
+"""Bootstrap intervals of means over few runs, and aggregates over environments.
 
-A report has hundreds of intervals, so what is resampled is drawn once for each number of runs,
-from a fixed seed: intervals are the same in every report, and cost a matrix product each.
+A report has hundreds of intervals. Resampling indices are drawn once per number of runs, from a
+fixed seed: every report has the same intervals, and each costs one matrix product.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from scipy import stats
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
 
-#: A value with the low and the high end of its interval, which are NaN where there is none.
+#: A value and the low and high end of its interval; the ends are NaN without an interval.
 Estimate = tuple[float, float, float]
 _Floats = NDArray[np.float64]
 
@@ -30,8 +30,8 @@ class Aggregate:
     Attributes:
         mean: of the environments' means.
         median: of the environments' means.
-        iqm: mean of the middle half of all runs of all environments.
-        optimality_gap: mean of max(0, 1 − P) over all runs: what is missing to the expert.
+        iqm: interquartile mean: of the middle half of all runs of all environments.
+        optimality_gap: mean of max(0, 1 − P) over all runs: the distance below the expert.
     """
 
     mean: Estimate
@@ -41,7 +41,7 @@ class Aggregate:
 
 
 def mean_interval(values: ArrayLike) -> tuple[float, float] | None:
-    """The 95 % percentile bootstrap interval of a mean over seeds.
+    """Compute the 95 % percentile bootstrap interval of a mean over seeds.
 
     Args:
         values: (seeds,).
@@ -53,7 +53,7 @@ def mean_interval(values: ArrayLike) -> tuple[float, float] | None:
 
 
 def average_interval(by_env: Sequence[ArrayLike]) -> tuple[float, float] | None:
-    """The 95 % interval of the mean over environments of means over seeds (Tables 2, 4 and 5).
+    """Compute the 95 % interval of the mean over environments (Tables 2, 4 and 5).
 
     Args:
         by_env: (seeds,) of each environment; seeds are resampled within each.
@@ -64,7 +64,7 @@ def average_interval(by_env: Sequence[ArrayLike]) -> tuple[float, float] | None:
     arrays = [np.asarray(values, dtype=float) for values in by_env]
     if min(map(len, arrays), default=0) < 2:
         return None
-    # From the first value on, so that equal values have exactly that value for an interval.
+    # Relative to the first value, so that equal values get exactly that value as interval.
     firsts = np.mean([values[0] for values in arrays])
     means = [_weights(len(v), stream) @ (v - v[0]) for stream, v in enumerate(arrays)]
     low, high = firsts + _ends(np.mean(means, axis=0))
@@ -72,16 +72,16 @@ def average_interval(by_env: Sequence[ArrayLike]) -> tuple[float, float] | None:
 
 
 def aggregate(by_env: Mapping[str, ArrayLike]) -> Aggregate:
-    """A method's performance over all environments, with stratified bootstrap intervals.
+    """Aggregate a method's performance over environments, with stratified bootstrap intervals.
 
     Args:
         by_env: P of each run, (seeds,), by environment.
 
     Returns:
-        Each with its 95 % interval: NaN where an environment has fewer than two seeds.
+        Aggregates with 95 % intervals, which are NaN where an environment has only one seed.
 
     Raises:
-        ValueError: there is no run at all, or none of an environment.
+        ValueError: no environment is given, or one has no run.
     """
     runs = [np.asarray(values, dtype=float) for values in by_env.values()]
     if min(map(len, runs), default=0) == 0:
@@ -97,9 +97,9 @@ def aggregate(by_env: Mapping[str, ArrayLike]) -> Aggregate:
 
 
 def _aggregates(runs: Sequence[_Floats]) -> _Floats:
-    """The four fields of `Aggregate`, (4, resamples), of (resamples, seeds) per environment."""
+    """Compute `Aggregate`'s fields, (4, resamples), from (resamples, seeds) per environment."""
     means = np.stack([values.mean(axis=1) for values in runs])
-    # Where one environment has more seeds, each of them counts less.
+    # Repeat runs so that each environment has the same weight.
     common = math.lcm(*(values.shape[1] for values in runs))
     repeated = [np.repeat(values, common // values.shape[1], axis=1) for values in runs]
     pooled = np.concatenate(repeated, axis=1)
@@ -109,15 +109,15 @@ def _aggregates(runs: Sequence[_Floats]) -> _Floats:
 
 
 def probability_of_improvement(x: Mapping[str, ArrayLike], y: Mapping[str, ArrayLike]) -> Estimate:
-    """How likely a run of X beats one of Y: P(X > Y) + ½P(X = Y), the mean over environments.
+    """Estimate P(X > Y) + ½P(X = Y) for runs of X and Y, averaged over environments.
 
     Args:
-        x: of each run, (seeds,), by environment.
-        y: likewise; only environments that both have count.
+        x: scores of the runs of X, (seeds,), by environment.
+        y: those of Y; only common environments count.
 
     Returns:
-        It with its 95 % interval, which is NaN where an environment has fewer than two seeds of
-        either. All NaN where there is no environment that both have.
+        The probability with its 95 % interval, which is NaN where X or Y has only one seed in an
+        environment. All three are NaN without a common environment.
     """
     values, resampled, sure = [], [], True
     for number, env in enumerate(env for env in x if env in y):
@@ -135,19 +135,19 @@ def probability_of_improvement(x: Mapping[str, ArrayLike], y: Mapping[str, Array
 
 @cache
 def _indices(count: int, stream: int) -> NDArray[np.int64]:
-    """Which of `count` runs each resample takes, (resamples, count); streams are independent."""
+    """Draw the runs of each resample, (resamples, count); streams are independent."""
     return np.random.default_rng([count, stream]).integers(count, size=(RESAMPLES, count))
 
 
 @cache
 def _weights(count: int, stream: int) -> _Floats:
-    """The share of each of `count` runs in each resample, (resamples, count)."""
-    taken: _Floats = (_indices(count, stream)[..., np.newaxis] == np.arange(count)).mean(axis=1)
-    return taken
+    """Compute the share of each of `count` runs in each resample, (resamples, count)."""
+    shares: _Floats = (_indices(count, stream)[..., np.newaxis] == np.arange(count)).mean(axis=1)
+    return shares
 
 
 def _ends(resampled: _Floats) -> _Floats:
-    """Low and high end of the percentile interval along the last axis."""
+    """Compute both ends of the percentile interval along the last axis."""
     tail = (1 - CONFIDENCE) / 2
     ends: _Floats = np.quantile(resampled, [tail, 1 - tail], axis=-1)
     return ends

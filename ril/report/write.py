@@ -1,7 +1,8 @@
-"""What was asked of a report, written: tables to standard output, figures and the page to files."""
+"""Write a report: tables to standard output, figures and pages to files."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,15 +25,16 @@ from ril.report.variants import variants, variants_grid
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked for.
+    """The contents and the place of a report.
 
     Attributes:
-        targets: names of tables and figures, in the order of the report.
-        audit: whether the paper's contradictions are.
+        targets: names of tables and figures, in the order of the report; "results" for the page
+            of the documentation.
+        audit: whether to list the paper's contradictions.
         form: "md", "csv", "latex" or "html".
         score: of each run's "best" or "last" policy.
         outputs: folders of runs.
-        to: folder of the files that are written.
+        to: folder for files.
     """
 
     targets: tuple[str, ...]
@@ -44,34 +46,37 @@ class Wanted:
 
 
 def write(wanted: Wanted) -> None:
-    """Make what is wanted; print it, or say where it is.
+    """Print a report or write its files, and print their paths.
 
     Raises:
         UserError: a file cannot be written.
     """
     console = Console(stderr=True, highlight=False)
-    has_figures = wanted.form != "csv" and any(name not in TABLES for name in wanted.targets)
-    if has_figures or wanted.form == "html":
+    shown = [name for name in wanted.targets if name != "results"]
+    has_figures = wanted.form != "csv" and any(name not in TABLES for name in shown)
+    if has_figures or wanted.form == "html" or "results" in wanted.targets:
         with _writable(wanted.to):
-            pass  # said before anything is worked out
+            pass  # fail before any work
     with console.status("reading rows"):
         evidence = Evidence.of(wanted.outputs)
     if evidence.rows.empty:
         where = ", ".join(map(str, wanted.outputs))
-        console.print(f"no rows below {where}", soft_wrap=True, markup=False)
-    for line in evidence.left_out:
-        console.print(f"left out: {line}", soft_wrap=True, markup=False)
+        console.print(f"no rows in {where}", soft_wrap=True, markup=False)
+    for line in evidence.skipped:
+        console.print(f"skipped: {line}", soft_wrap=True, markup=False)
+    if "results" in wanted.targets:
+        with console.status("writing results"):
+            written = _results(wanted, evidence)
+        print(*written, sep="\n")
     with console.status("comparing with the paper"):
-        tables = [
-            results(name, evidence, wanted.score) for name in wanted.targets if name in TABLES
-        ]
+        tables = [results(name, evidence, wanted.score) for name in shown if name in TABLES]
     if wanted.form == "html":
         print(_page(wanted, evidence, tables, console))
         return
     grids = _grids(wanted, evidence, tables)
-    if wanted.form == "csv" and tables:  # numbers as numbers, not as texts
-        print(as_csv(tables))
-        grids = []  # what has other columns is asked for by itself
+    if wanted.form == "csv" and tables:
+        print(as_csv(tables))  # numbers as numbers; other columns would not fit
+        grids = []
     for given in grids:
         if wanted.form == "md" and sys.stdout.isatty():
             _show(given)
@@ -82,7 +87,7 @@ def write(wanted: Wanted) -> None:
 
 
 def _grids(wanted: Wanted, evidence: Evidence, tables: list[Results]) -> list[Grid]:
-    """Tables for standard output."""
+    """Lay out the tables for standard output."""
     grids = [grid(table) for table in tables]
     if "statistics" in wanted.targets:
         every = aggregates.performances(evidence, wanted.score)
@@ -94,9 +99,26 @@ def _grids(wanted: Wanted, evidence: Evidence, tables: list[Results]) -> list[Gr
     return grids
 
 
+def _results(wanted: Wanted, evidence: Evidence) -> list[Path]:
+    """Write the documentation's page of results and the README's figure; return their paths."""
+    from ril.report.drawing import overviews
+    from ril.report.results_page import results_page
+
+    outputs = [folder.as_posix() for folder in wanted.outputs]
+    made_by = ["ril-report", "results", "--outputs", *outputs, "--to", wanted.to.as_posix()]
+    tables = [results(name, evidence) for name in TABLES]
+    contents = {wanted.to / "results.md": results_page(evidence, tables, shlex.join(made_by))}
+    for theme, svg in overviews(evidence).items():
+        contents[wanted.to / "assets" / f"table2-{theme}.svg"] = svg
+    for path, content in contents.items():
+        with _writable(path.parent):
+            write_atomically(path, content.encode())
+    return list(contents)
+
+
 def _save_figures(wanted: Wanted, evidence: Evidence, console: Console) -> None:
-    """Write the figures and name their files."""
-    from ril.report.drawing import drawings  # here: tables need neither matplotlib nor torch
+    """Write the figures and print their paths."""
+    from ril.report.drawing import drawings  # tables need neither matplotlib nor torch
     from ril.report.figures.style import save
 
     for drawing in drawings(wanted.targets):
@@ -110,7 +132,7 @@ def _save_figures(wanted: Wanted, evidence: Evidence, console: Console) -> None:
 
 
 def _page(wanted: Wanted, evidence: Evidence, tables: list[Results], console: Console) -> Path:
-    """Write the page; returns its file."""
+    """Write the page; return its path."""
     from ril.report.drawing import drawings
     from ril.report.figures.style import as_svg
     from ril.report.page import Drawn, Report, page
@@ -132,7 +154,7 @@ def _page(wanted: Wanted, evidence: Evidence, tables: list[Results], console: Co
             variants=variants_grid(variants(evidence, wanted.score), wanted.score),
             contradictions=audit(),
             runs=runs(evidence.rows),
-            left_out=evidence.left_out,
+            skipped=evidence.skipped,
         )
     )
     with _writable(wanted.to):
@@ -145,7 +167,7 @@ _FORMATS = {"md": as_markdown, "latex": as_latex, "csv": grid_as_csv}
 
 @contextmanager
 def _writable(folder: Path) -> Iterator[None]:
-    """Make a folder for files, and say in one line if it or they cannot be written."""
+    """Create a folder, and report in one line if it or its files cannot be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         yield
@@ -154,7 +176,7 @@ def _writable(folder: Path) -> Iterator[None]:
 
 
 def _show(given: Grid) -> None:
-    """A table on a terminal, with notes whose commands can be copied."""
+    """Show a table on a terminal, with notes whose commands can be copied."""
     terminal = Console(highlight=False)
     terminal.print(as_table(given))
     for note in given.notes:

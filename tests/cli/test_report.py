@@ -23,10 +23,10 @@ def leave_run(folder: Path, *cells: dict[str, object]) -> Path:
     )
     made[numbers] = made[numbers].astype(object).where(made[numbers].notna(), 0)
     made.to_csv(folder / "results.csv", index=False)
-    looks = {"run_id": "a", "epoch": 5, "samples": 1500, "aer": -120.0}
-    pd.DataFrame([looks | {"seed": seed} for seed in made["seed"]]).drop(columns="run_id").to_csv(
-        folder / "curve.csv", index=False
-    )
+    evaluation = {"run_id": "a", "epoch": 5, "samples": 1500, "aer": -120.0}
+    pd.DataFrame([evaluation | {"seed": seed} for seed in made["seed"]]).drop(
+        columns="run_id"
+    ).to_csv(folder / "curve.csv", index=False)
     return folder
 
 
@@ -52,11 +52,11 @@ def test_a_table_goes_to_standard_output(
     assert shown.err == ""
 
 
-def test_what_keys_change_goes_to_standard_output_and_to_files(
+def test_the_effect_of_overridden_keys_goes_to_standard_output_and_to_files(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    apart = {"run_id": "b", "variant": "method.episodes=2", "aer": -95.0}
-    leave_run(folder / "outputs" / "two", apart | {"seed": 0}, apart | {"seed": 1})
+    variant = {"run_id": "b", "variant": "method.episodes=2", "aer": -95.0}
+    leave_run(folder / "outputs" / "two", variant | {"seed": 0}, variant | {"seed": 1})
     report(monkeypatch, "variants")
     shown = capsys.readouterr()
     assert "| -95.00 ± 0.00 (2)" in shown.out
@@ -66,12 +66,12 @@ def test_what_keys_change_goes_to_standard_output_and_to_files(
         assert (folder / "report" / f"variants.{ending}").stat().st_size > 1000
 
 
-def test_without_keys_set_apart_there_is_nothing_to_draw(
+def test_without_overridden_keys_there_is_nothing_to_draw(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     report(monkeypatch, "variants")
     shown = capsys.readouterr()
-    assert "no runs with keys set apart" in shown.out
+    assert "no runs with overridden keys" in shown.out
     assert "variants: no rows to draw yet" in shown.err
 
 
@@ -150,19 +150,19 @@ def test_the_audit_is_a_table(
     assert "Table 2. " not in out
 
 
-def test_what_is_left_out_is_named(
+def test_skipped_files_are_named(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     torn = leave_run(folder / "outputs" / "torn", {"run_id": "torn"})
     (torn / "results.csv").write_text("run_id,env\nx\n")
     report(monkeypatch, "table2")
-    assert "left out: outputs/torn/results.csv" in capsys.readouterr().err
+    assert "skipped: outputs/torn/results.csv" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["table10"], r"table10: unknown, choose of table1, table2, .*, all$"),
+        (["table10"], r"table10: unknown target; choose from table1, table2, .*, all, results$"),
         (["table2", "--outputs", "nowhere"], r"--outputs nowhere: no such folder$"),
         (["table2", "--format", "pdf"], r"argument --format: invalid choice: 'pdf'.*$"),
         (["table2", "--score", "worst"], r"argument --score: invalid choice: 'worst'.*$"),
@@ -204,3 +204,25 @@ def test_tables_need_neither_torch_nor_matplotlib(folder: Path) -> None:
         [sys.executable, "-c", code], cwd=folder, capture_output=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_the_version_is_printed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("ril.__version__", "1.2.3", raising=False)
+    with pytest.raises(SystemExit) as end:
+        report(monkeypatch, "--version")
+    assert (end.value.code, capsys.readouterr().out) == (0, "ril 1.2.3\n")
+
+
+def test_results_are_a_page_and_two_figures_of_their_own(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report(monkeypatch, "results", "--to", "pages")
+    assert capsys.readouterr().out.split() == [
+        "pages/results.md",
+        "pages/assets/table2-light.svg",
+        "pages/assets/table2-dark.svg",
+    ]
+    first, *_ = (folder / "pages/results.md").read_text(encoding="utf-8").splitlines()
+    assert "`ril-report results --outputs outputs --to pages`" in first

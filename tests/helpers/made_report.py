@@ -1,4 +1,4 @@
-"""A small report made up for tests of its page."""
+"""A small invented report for tests of its page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows made up for tests of the report."""
+"""Invented rows for tests of the report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ USUAL = {
     "random_return": -200.0,
     "expert_return_measured": -100.0,
 }
-#: What the columns of a method are that sees no expert.
+#: The columns of a method that learns from rewards alone.
 ALONE = {"k": None, "n": None, "trajectories": None, "total_timesteps": 2_000_000}
 
 
@@ -43,13 +43,13 @@ def rows(*cells: dict[str, object]) -> pd.DataFrame:
 
 
 def evidence(*cells: dict[str, object], curves: pd.DataFrame | None = None) -> Evidence:
-    """Such rows, and what was looked at while they trained."""
+    """Such rows, and their learning curves."""
     columns = ["run_id", "seed", "epoch", "samples", "aer"]
     return Evidence(rows(*cells), pd.DataFrame(columns=columns) if curves is None else curves)
 
 
 def cell_of(name: str, quantity: str, **setting: object) -> Cell:
-    """The one cell of a table that fits."""
+    """The cell of a table with these fields."""
     [cell] = [
         cell
         for cell in table(name).cells()
@@ -60,7 +60,7 @@ def cell_of(name: str, quantity: str, **setting: object) -> Cell:
 
 
 def found(name: str, quantity: str, given: Evidence, **setting: object) -> Finding:
-    """What the rows say of that cell."""
+    """The rows' result for that cell."""
     return find(cell_of(name, quantity, **setting), given)
 
 

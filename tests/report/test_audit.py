@@ -8,7 +8,7 @@ import pytest
 
 import ril.report
 from ril.report.paper.audit import Contradiction, audit, contradictions_grid
-from ril.report.paper.printed import Printed, agree, reach, rounded
+from ril.report.paper.printed import Printed, agree, propagate, rounded
 
 PAPER = (Path(ril.report.__file__).parent / "paper" / "tables.yaml").read_text(encoding="utf-8")
 IUPE_P = "IUPE: {cartpole: [0.26, 0.02], acrobot: [0.55, 0.16]"
@@ -82,7 +82,7 @@ def test_a_number_that_is_printed_for_another_setting_is_traced() -> None:
     assert found.why.endswith("Table 4 has this number for 100")
 
 
-def test_every_contradiction_says_all() -> None:
+def test_every_contradiction_is_complete() -> None:
     assert all((each.says and each.against and each.why) for each in own())
 
 
@@ -104,7 +104,7 @@ def test_rounding_of_a_return_is_allowed_for() -> None:
     assert "Table 2, IUPE on Acrobot: P = 0.55" in no_longer(coarse)
 
 
-def test_a_wrong_spread_of_a_performance_is_found() -> None:
+def test_a_wrong_std_of_a_performance_is_found() -> None:
     new = newly(("acrobot: [0.51, 0.26]", "acrobot: [0.51, 0.28]"))
     assert new == {"Table 2, GAIL on Acrobot, ± of P: ± 0.28"}
 
@@ -118,7 +118,7 @@ def test_an_average_that_follows_from_the_returns_is_none() -> None:
     assert {f"Table 4, average P of {m}" for m in ("DQN₁: 0.53", "DQN₂: 0.92")} <= right
 
 
-def test_an_averages_spread_is_the_sample_standard_deviation() -> None:
+def test_an_averages_std_is_the_sample_standard_deviation() -> None:
     old, population = "average: [0.29, 0.75]", "average: [0.29, 0.65]"
     assert newly((old, population)) == {"Table 2, average P of ILPO, ±: ± 0.65"}
 
@@ -149,7 +149,7 @@ def test_an_expert_as_good_as_its_trajectories_is_none() -> None:
         (("300: [500.00]", "300: [490.00]"), "on CartPole RIL has 500 with any expert"),
     ],
 )
-def test_a_statement_that_the_tables_bear_out_is_none_until_they_do_not(
+def test_a_confirmed_claim_is_none_until_the_tables_refute_it(
     change: tuple[str, str], statement: str
 ) -> None:
     assert not [name for name in named(own()) if statement in name]
@@ -165,7 +165,7 @@ def test_a_statement_that_the_tables_bear_out_is_none_until_they_do_not(
         (("-250: [-82.72]", "-250: [-90.43]"), "RIL decreases only 10.91 points"),
     ],
 )
-def test_a_statement_is_none_once_the_tables_bear_it_out(
+def test_a_claim_is_none_once_the_tables_confirm_it(
     change: tuple[str, str], statement: str
 ) -> None:
     assert [name for name in no_longer(change) if statement in name]
@@ -184,7 +184,7 @@ def test_a_printed_number_stands_for_all_that_is_rounded_to_it() -> None:
 
 def test_a_range_holds_what_any_number_in_it_gives() -> None:
     ranges = [rounded(text) for text in ("-232.38", "-482.6", "-85")]
-    _, low, high = reach(lambda a, r, e: (a - r) / (e - r), ranges)
+    _, low, high = propagate(lambda a, r, e: (a - r) / (e - r), ranges)
     random = np.random.default_rng(0)
     a, r, e = (random.uniform(low, high, 1000) for _, low, high in ranges)
     inside = (a - r) / (e - r)
@@ -208,7 +208,7 @@ def test_numbers_agree_if_rounding_can_explain_them(one: str, other: str, agrees
 def test_numbers_are_kept_as_they_are_printed() -> None:
     found = Printed().cells()
     [cell] = found.query("table == 'table2' and method == 'IUPE' and env == 'mountaincar'").index
-    assert found.loc[cell, ["mean", "spread"]].tolist() == ["-198.00", "6.00"]
+    assert found.loc[cell, ["mean", "std"]].tolist() == ["-198.00", "6.00"]
 
 
 def test_the_grid_has_a_line_for_each() -> None:

@@ -21,10 +21,10 @@ def test_a_cell_of_an_ablation() -> None:
     assert paper_cell(whole) == "-109.20 (Table 7: RIL by k of equation 2)"
 
 
-def test_a_smaller_cell_than_the_papers_says_so() -> None:
+def test_a_reduced_run_says_so() -> None:
     assert paper_cell(rows({"epochs": 20}, {"epochs": 20, "seed": 1})) == (
         "-100.29 ± 1.59 (Table 2: One expert trajectory; "
-        "this was 2 of 10 seeds and 20 of 150 epochs)"
+        "this run has 2 of 10 seeds and 20 of 150 epochs)"
     )
 
 

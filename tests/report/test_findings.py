@@ -20,8 +20,8 @@ def test_a_cell_without_rows_is_not_run_and_has_its_command() -> None:
 def test_a_cell_with_rows() -> None:
     given = evidence({"seed": 0, "aer": -100.0}, {"seed": 1, "aer": -104.0, "run_id": "b"})
     finding = found("table2", "aer", given, **RIL)
-    assert (finding.values, finding.mean, finding.spread) == ((-100.0, -104.0), -102.0, 2.0)
-    assert finding.short == ("2 of 10 seeds",)
+    assert (finding.values, finding.mean, finding.std) == ((-100.0, -104.0), -102.0, 2.0)
+    assert finding.reduced == ("2 of 10 seeds",)
     assert finding.run_ids == ("a", "b")
 
 
@@ -78,8 +78,8 @@ def test_samples_of_the_expert_are_those_of_an_epoch() -> None:
 
 
 def curve(**more: object) -> pd.DataFrame:
-    looks = {"run_id": "a", "seed": [0, 0, 1, 1], "epoch": [5, 10] * 2}
-    return pd.DataFrame({**looks, "samples": [500, 1000, 600, 1200], **more})
+    evaluations = {"run_id": "a", "seed": [0, 0, 1, 1], "epoch": [5, 10] * 2}
+    return pd.DataFrame({**evaluations, "samples": [500, 1000, 600, 1200], **more})
 
 
 def test_samples_come_from_the_curves() -> None:
@@ -109,8 +109,8 @@ def test_the_average_is_of_the_environments_means() -> None:
     given = evidence(*everywhere(cartpole=1.0, acrobot=1.2, mountaincar=0.9, lunarlander=0.5))
     finding = found("table2", "performance", given, method="RIL", env="average")
     assert finding.mean == pytest.approx(0.9)
-    assert finding.spread == pytest.approx(np.std([1, 1.2, 0.9, 0.5], ddof=1))
-    assert finding.short == ("fewer seeds or steps in 4 of 4 environments",)
+    assert finding.std == pytest.approx(np.std([1, 1.2, 0.9, 0.5], ddof=1))
+    assert finding.reduced == ("fewer seeds or steps in 4 of 4 environments",)
 
 
 def test_an_average_waits_for_every_environment() -> None:
@@ -120,15 +120,15 @@ def test_an_average_waits_for_every_environment() -> None:
     assert finding.command == "ril-run env=lunarlander method=ril"
 
 
-def test_other_runs_of_a_cell_are_told() -> None:
+def test_excluded_runs_of_a_cell_are_named() -> None:
     given = evidence(
         *({"seed": seed, "run_id": "many"} for seed in range(2)),
         {"run_id": "few", "epochs": 3},
-        {"run_id": "apart", "variant": "method.episodes=2"},
+        {"run_id": "variant", "variant": "method.episodes=2"},
     )
-    assert found("table2", "aer", given, **RIL).aside == (
-        "1 of 2 runs shown, the fullest",
-        "1 run with keys set apart left out",
+    assert found("table2", "aer", given, **RIL).excluded == (
+        "1 of 2 runs used, those of the budget with the most seeds",
+        "1 run with overridden keys excluded",
     )
 
 
@@ -137,7 +137,7 @@ def test_other_runs_of_a_cell_are_told() -> None:
     [
         ("table2", "aer", RIL, True),
         ("table2", "performance", RIL, False),  # the same number again, scaled
-        ("table2", "aer", RIL | {"method": "Expert"}, False),  # nothing is learnt
+        ("table2", "aer", RIL | {"method": "Expert"}, False),  # nothing is learned
         ("table3", "samples_to_best", RIL, True),
         ("table3", "samples_to_solved", RIL, False),  # not in the paper
     ],

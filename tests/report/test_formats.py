@@ -1,6 +1,6 @@
 """Golden tests: a fixed set of rows gives exactly these numbers, in every format.
 
-After a change that is wanted, `python tests/report/test_formats.py` writes the files anew.
+After an intended change, `PYTHONPATH=tests python tests/report/test_formats.py` rewrites them.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ def fixed() -> Evidence:
         {"run_id": "k3", "k": 3.0, "aer": -109.2, "seed": 0},
         {"run_id": "hundred", "trajectories": 100, "aer": -99.0, "expert_samples": 1_504_500},
         {"run_id": "worse", "expert_return": -140.0, "aer": -104.0},
-        {"run_id": "apart", "variant": "method.episodes=2"},
+        {"run_id": "variant", "variant": "method.episodes=2"},
         {"run_id": "new", "method": "ril_consistent", "aer": -98.0},
     ]
-    looks = [
+    evaluations = [
         {"run_id": row["run_id"], "seed": row["seed"], "epoch": e, "samples": 306 * e, "aer": aer}
         for row in ril
         for e, aer in ((5, -500.0), (50, float(row["aer"])), (150, float(row["aer"]) - 1))  # type: ignore[arg-type]
     ]
-    return evidence(*ril, *bc, *dqn, *more, curves=pd.DataFrame(looks))
+    return evidence(*ril, *bc, *dqn, *more, curves=pd.DataFrame(evaluations))
 
 
 def texts() -> dict[str, str]:
-    """What every golden file must hold."""
+    """The expected contents of every golden file."""
     given = fixed()
     tables = [results(f"table{number}", given) for number in range(2, 10)]
     grids = [grid(table) for table in tables]
@@ -132,7 +132,7 @@ def test_a_comma_stays_within_its_csv_field() -> None:
     assert list(csv.reader(io.StringIO(grid_as_csv(plain("1,000")))))[1] == ["RIL", "1,000"]
 
 
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no TeX here")
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="TeX is not installed")
 def test_latex_compiles(tmp_path: Path) -> None:
     text = (GOLDEN / "tables.tex").read_text(encoding="utf-8")
     text += as_latex(contradictions_grid(audit()))

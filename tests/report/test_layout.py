@@ -29,7 +29,7 @@ def test_a_row_has_ours_our_interval_the_papers_and_the_verdict() -> None:
     ]
 
 
-def test_a_line_that_says_nothing_is_left_out() -> None:
+def test_an_empty_line_is_omitted() -> None:
     names = [line[1] for line in grid(results("table8", evidence({}))).body]
     assert "95 %" not in names
 
@@ -46,20 +46,20 @@ def test_a_method_beyond_the_paper_has_its_lines() -> None:
     assert line_of(shown, "ril_consistent", 1)[0] == "verdict"
 
 
-def test_what_is_not_run_is_told_with_one_command_a_method() -> None:
-    told = notes(results("table2", evidence({"env": "nowhere"})))
+def test_cells_not_run_have_one_command_per_method() -> None:
+    lines = notes(results("table2", evidence({"env": "nowhere"})))
     everywhere = "cartpole,acrobot,mountaincar,lunarlander"
-    assert told[-1] == "all of them: `ril-run -m experiment=table2`"
-    assert told[-2] == (
+    assert lines[-1] == "all of these: `ril-run -m experiment=table2`"
+    assert lines[-2] == (
         "not run: RIL on CartPole, Acrobot, MountainCar, LunarLander: "
         f"`ril-run -m env={everywhere} method=ril`"
     )
-    assert len(told) == 7 + 1  # methods of the table
+    assert len(lines) == 7 + 1  # methods of the table
 
 
 def test_a_sweep_runs_only_what_is_missing() -> None:
-    told = notes(results("table7", evidence({"k": 3.0})))
-    assert [note.partition("`")[2].rstrip("`") for note in told if "not run" in note] == [
+    lines = notes(results("table7", evidence({"k": 3.0})))
+    assert [note.partition("`")[2].rstrip("`") for note in lines if "not run" in note] == [
         "ril-run -m env=cartpole,acrobot,mountaincar,lunarlander method=ril "
         "ablation.k=1,1.5,2,2.5,3.5,4",
         "ril-run -m env=cartpole,acrobot,lunarlander method=ril ablation.k=3",
@@ -67,17 +67,17 @@ def test_a_sweep_runs_only_what_is_missing() -> None:
 
 
 def test_an_environment_with_levels_of_its_own_has_a_sweep_of_its_own() -> None:
-    told = notes(results("table9", evidence({})))
+    lines = notes(results("table9", evidence({})))
     assert (
         "not run: RIL on CartPole: "
         "`ril-run -m env=cartpole method=ril ablation.expert_return=400,300,200,100`"
-    ) in told
+    ) in lines
 
 
-def test_cells_that_fall_short_alike_are_told_together() -> None:
-    told = notes(results("table2", RIL_ROWS))
-    assert "1 of 10 seeds: RIL on CartPole" in told
-    assert "2 of 10 seeds: RIL on MountainCar" in told
+def test_cells_with_the_same_reduction_share_a_note() -> None:
+    lines = notes(results("table2", RIL_ROWS))
+    assert "1 of 10 seeds: RIL on CartPole" in lines
+    assert "2 of 10 seeds: RIL on MountainCar" in lines
 
 
 def test_the_last_policies_table() -> None:

@@ -21,7 +21,7 @@ from ril.environments import Environment
 from ril.io.errors import UserError
 from ril.policy import load_policy, save_policies
 from ril.report.figures.mountaincar import (
-    COLOURS,
+    COLORS,
     action_distributions,
     action_maps,
     probability_meshes,
@@ -138,7 +138,7 @@ def test_each_step_of_each_episode_is_a_visited_state() -> None:
     assert len(visited) == -returns.sum()
 
 
-def test_an_episode_does_not_depend_on_those_beside_it() -> None:
+def test_an_episode_does_not_depend_on_the_others() -> None:
     together, _ = play(PUSH, np.linspace(-0.6, -0.4, 7))
     alone = [play(PUSH, np.array([start]))[0][0] for start in np.linspace(-0.6, -0.4, 7)]
     assert together.tolist() == alone
@@ -198,13 +198,13 @@ def test_optimal_probabilities_are_the_softmax_of_the_values() -> None:
     np.testing.assert_allclose(optimal_policy().probabilities(ALL_STATES), expected, rtol=1e-9)
 
 
-def test_a_step_before_the_goal_no_action_is_likelier() -> None:
+def test_a_step_before_the_goal_no_action_is_more_likely() -> None:
     found = optimal_policy().probabilities(np.array([[0.49, 0.06]], dtype=np.float32))
     np.testing.assert_allclose(found, 1 / 3)
 
 
 @pytest.mark.parametrize(("velocity", "action"), [(0.06, RIGHT), (-0.07, LEFT)])
-def test_of_equally_good_actions_that_along_the_motion_is_taken(
+def test_of_equally_good_actions_the_one_along_the_motion_is_chosen(
     velocity: float, action: int
 ) -> None:
     position = 0.48 if velocity > 0 else -1.19  # the goal, or the wall, whatever is done
@@ -338,23 +338,23 @@ def test_no_text_is_too_small(make: Callable[..., Figure]) -> None:
 
 
 @pytest.mark.parametrize("title", ["π*", "RL", "IL"])
-def test_meshes_are_as_high_as_the_likeliest_actions_probability(title: str) -> None:
+def test_meshes_are_as_high_as_the_most_likely_actions_probability(title: str) -> None:
     policy = policies()[title]
     assert policy is not None
-    likeliest = policy.probabilities(cells(30).reshape(-1, 2)).max(axis=-1)
+    most_likely = policy.probabilities(cells(30).reshape(-1, 2)).max(axis=-1)
     found = panels(probability_meshes)[title].zz_dataLim.intervalx
-    np.testing.assert_allclose(found, [likeliest.min(), likeliest.max()])
+    np.testing.assert_allclose(found, [most_likely.min(), most_likely.max()])
 
 
 def test_meshes_have_one_scale() -> None:
     assert {ax.get_zlim() for ax in panels(probability_meshes).values()} == {(1 / 3, 1)}
 
 
-def test_maps_are_coloured_by_action_where_it_is_the_optimal_one() -> None:
+def test_maps_are_colored_by_action_where_it_is_the_optimal_one() -> None:
     mesh, *_ = panels(action_maps)["RL"].collections
     same = agreement(PUSH, ALL_STATES)
     mesh.update_scalarmappable()
-    expected = np.array([to_rgba(colour) for colour in COLOURS])[PUSH.predict(ALL_STATES)]
+    expected = np.array([to_rgba(colour) for colour in COLORS])[PUSH.predict(ALL_STATES)]
     expected[~same] = 0
     np.testing.assert_allclose(mesh.get_facecolors(), expected, atol=1e-6)
 

@@ -54,7 +54,7 @@ def tree(report: str = "usual") -> ET.Element:
     cells += [{"method": "dqn", "run_id": "c", **ALONE}, {"method": HOSTILE, "run_id": "d"}]
     if report == "empty":
         every = sample(tables=tuple(f"table{number}" for number in range(2, 10)))
-        return Tree(page(replace(every, figures=[], runs=[], left_out=[], contradictions=[]))).root
+        return Tree(page(replace(every, figures=[], runs=[], skipped=[], contradictions=[]))).root
     return Tree(page(sample(*cells))).root
 
 
@@ -87,13 +87,13 @@ def cells_of(table: str, *wanted: str) -> list[str]:
     return [text(cell) for cell in found]
 
 
-def test_a_cell_has_ours_the_papers_the_verdict_and_what_is_short() -> None:
+def test_a_cell_has_ours_the_papers_the_verdict_and_the_reduction() -> None:
     assert cells_of("table2", "RIL", "AER")[2] == (
         "−102.00 ± 2.00 −104.00 … −100.00 paper −100.29 ± 1.59 ✓ matches · 2 seeds ◔ 2 of 10 seeds"
     )
 
 
-def test_a_cell_of_full_seeds_has_no_mark() -> None:
+def test_a_cell_with_all_seeds_has_no_sign_of_reduction() -> None:
     assert cells_of("table2", "BC", "AER")[2] == (
         "−105.00 ± 0.00 −105.00 … −105.00 paper −129.92 ± 4.14 ▲ better · 10 seeds"
     )
@@ -117,14 +117,14 @@ def test_the_headline_counts() -> None:
     )
 
 
-def test_the_headline_says_what_falls_short() -> None:
+def test_the_headline_counts_reduced_runs() -> None:
     honest = by_id("headline").find("p[@class='honest']")
     assert text(honest).startswith(
-        "Of the 3 that are measured, 1 has the paper’s full number of seeds and budget; 2 fall "
+        "Of the 3 results that have been run, 1 has the paper’s number of seeds and budget; 2 have "
     )
 
 
-def test_the_bar_sets_short_runs_apart() -> None:
+def test_the_bar_distinguishes_reduced_runs() -> None:
     bar = by_id("headline").find("div[@class='bar']")
     assert bar is not None
     assert [part.get("aria-label") for part in bar] == [
@@ -183,11 +183,11 @@ def test_a_run_has_its_provenance() -> None:
     ]
 
 
-def test_what_was_left_out_is_named() -> None:
+def test_skipped_files_are_named() -> None:
     assert "a/results.csv: line 3: torn" in text(by_id("runs"))
 
 
-def test_every_deviation_is_there_once() -> None:
+def test_every_deviation_appears_once() -> None:
     numbers = [entry.number for each in documents(docs_folder()) for entry in each.entries]
     assert {"D1", "D17", "K1", "G4", "R3"} <= set(numbers)
     for number in numbers:
@@ -199,15 +199,15 @@ def test_what_is_not_ours_is_escaped() -> None:
     assert len(list(tree().iter("script"))) == 1
 
 
-@pytest.mark.parametrize("where", ["run", "left out", "contradiction", "figure"])
+@pytest.mark.parametrize("where", ["run", "skipped", "contradiction", "figure"])
 def test_texts_are_escaped_wherever_they_stand(where: str) -> None:
     report = sample(tables=("table7",))
     match where:
         case "run":
             texts = dict.fromkeys(("command", "fault", "variant", "commit", "machine"), HOSTILE)
             report = replace(report, runs=[replace(RUN, run_id='"><script>', **texts)])
-        case "left out":
-            report = replace(report, left_out=[HOSTILE])
+        case "skipped":
+            report = replace(report, skipped=[HOSTILE])
         case "contradiction":
             report = replace(report, contradictions=[Contradiction(*[HOSTILE] * 4)])
         case "figure":
@@ -254,7 +254,7 @@ def test_without_rows_every_cell_is_not_run_and_has_its_command() -> None:
 
 def test_without_rows_the_headline_says_so() -> None:
     answer = by_id("headline", tree("empty")).find("p[@class='answer']")
-    assert text(answer) == "None of the 161 results on this page is run yet."
+    assert text(answer) == "None of the 161 results on this page has been run yet."
 
 
 def test_the_last_policies_are_said_to_be_the_last() -> None:
@@ -271,4 +271,4 @@ def test_a_page_of_all_tables_speaks_of_the_paper() -> None:
 
 def test_a_figure_without_rows_says_so() -> None:
     report = replace(sample(), figures=[Drawn("figure4", "Box plots", "A box per method.", "")])
-    assert "no rows to draw yet" in text(by_id("figure4", Tree(page(report)).root))
+    assert "No rows to draw yet" in text(by_id("figure4", Tree(page(report)).root))

@@ -35,9 +35,9 @@ CELLS: list[dict[str, object]] = [
 #: Least ratio of luminances between visible texts and what is painted behind them.
 CONTRAST = """
 const context = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true });
-const painted = (colours) => {
+const painted = (colors) => {
   context.clearRect(0, 0, 1, 1);
-  for (const colour of colours) { context.fillStyle = colour; context.fillRect(0, 0, 1, 1); }
+  for (const color of colors) { context.fillStyle = color; context.fillRect(0, 0, 1, 1); }
   return [...context.getImageData(0, 0, 1, 1).data].slice(0, 3);
 };
 const linear = (v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
@@ -54,10 +54,10 @@ for (const element of texts) {
   for (let at = element; at; at = at.parentElement) {
     behind.unshift(getComputedStyle(at).backgroundColor);
   }
-  const colours = [...behind, getComputedStyle(element).color];
-  if (ratios.has(colours.join())) continue;
-  const [low, high] = [behind, colours].map(painted).map(luminance).sort((a, b) => a - b);
-  ratios.set(colours.join(), [(high + 0.05) / (low + 0.05), element.outerHTML.slice(0, 90)]);
+  const colors = [...behind, getComputedStyle(element).color];
+  if (ratios.has(colors.join())) continue;
+  const [low, high] = [behind, colors].map(painted).map(luminance).sort((a, b) => a - b);
+  ratios.set(colors.join(), [(high + 0.05) / (low + 0.05), element.outerHTML.slice(0, 90)]);
 }
 return [...ratios.values()];
 """
@@ -154,11 +154,11 @@ def test_a_head_sorts_up_then_down_then_back(browser: webdriver.Chrome) -> None:
 
 
 def test_a_head_says_how_it_sorts(browser: webdriver.Chrome) -> None:
-    said = []
+    states = []
     for _ in range(3):
         press(browser, "table2", "CartPole")
-        said.append(head(browser, "table2", "CartPole").get_attribute("aria-sort"))
-    assert said == ["ascending", "descending", "none"]
+        states.append(head(browser, "table2", "CartPole").get_attribute("aria-sort"))
+    assert states == ["ascending", "descending", "none"]
 
 
 def test_another_head_takes_over(browser: webdriver.Chrome) -> None:
@@ -221,15 +221,15 @@ def test_a_command_can_be_copied(browser: webdriver.Chrome) -> None:
         "Object.defineProperty(navigator, 'clipboard',"
         " {value: {writeText: async (text) => { window.clipboard = text; }}})"
     )
-    said, command, _ = copied(browser)
-    assert said == "copied"
+    outcome, command, _ = copied(browser)
+    assert outcome == "copied"
     assert browser.execute_script("return window.clipboard") == command
 
 
 def test_a_command_is_selected_where_the_clipboard_is_closed(browser: webdriver.Chrome) -> None:
     browser.execute_script("Object.defineProperty(navigator, 'clipboard', {value: undefined})")
-    said, command, selected = copied(browser)
-    assert (said, selected) == ("selected", command)
+    outcome, command, selected = copied(browser)
+    assert (outcome, selected) == ("selected", command)
 
 
 def test_a_phone_scrolls_down_only(browser: webdriver.Chrome) -> None:

@@ -17,9 +17,7 @@ def printed(name: str, *labels: str) -> list[str]:
     """Numbers of one row, as mean or mean±spread."""
     [cells] = [cells for row, cells in table(name).rows if row == labels]
     return [
-        ""
-        if cell is None
-        else f"{cell.mean:g}" + ("" if cell.spread is None else f"±{cell.spread:g}")
+        "" if cell is None else f"{cell.mean:g}" + ("" if cell.std is None else f"±{cell.std:g}")
         for cell in cells
     ]
 

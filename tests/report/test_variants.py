@@ -20,7 +20,7 @@ def run(run_id: str, returns: list[float], **more: object) -> list[dict[str, obj
     ]
 
 
-def test_a_variant_stands_beside_the_method_as_it_comes() -> None:
+def test_a_variant_is_compared_with_the_default() -> None:
     given = evidence(
         *run("a", [-110.0, -120.0, -130.0]), *run("b", [-105.0, -125.0, -140.0], variant=FADE)
     )
@@ -37,21 +37,21 @@ def test_a_variant_stands_beside_the_method_as_it_comes() -> None:
     assert (whole.gains["mountaincar"] == 0).all()
 
 
-def test_gains_are_of_common_seeds_and_of_the_asked_policies() -> None:
+def test_gains_are_of_common_seeds_and_of_the_requested_policies() -> None:
     given = evidence(*run("a", [-110.0, -120.0]), *run("b", [-110.0, -120.0, -90.0], variant=FADE))
     _, variant = variants(given, "last")
     assert variant.returns["mountaincar"].tolist() == [-110, -121, -92]
     assert variant.gains["mountaincar"].tolist() == [0, 0]
 
 
-def test_runs_of_another_length_or_setting_are_no_variants() -> None:
-    as_it_comes = run("a", [-110.0])
+def test_runs_of_another_budget_or_setting_are_no_variants() -> None:
+    default = run("a", [-110.0])
     shorter = run("b", [-105.0], variant=FADE, epochs=40)
     other_k = run("c", [-105.0], variant=FADE, k=3.0)
-    assert variants(evidence(*as_it_comes, *shorter, *other_k), "best") == []
+    assert variants(evidence(*default, *shorter, *other_k), "best") == []
 
 
-def test_without_the_method_as_it_comes_there_is_nothing_to_compare_with() -> None:
+def test_without_the_default_there_is_no_comparison() -> None:
     assert variants(evidence(*run("b", [-105.0], variant=FADE)), "best") == []
 
 
@@ -77,12 +77,12 @@ def test_the_table() -> None:
     )
     shown = as_markdown(variants_grid(variants(given, "best"), "best"))
     lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown.splitlines()]
-    assert ["Method", "Keys", "Acrobot", "MountainCar", "Change in P"] in lines
-    assert ["RIL", "as it comes", "-90.00 ± 0.00 (1)", "-115.00 ± 5.00 (2)", ""] in lines
+    assert ["Method", "Overridden keys", "Acrobot", "MountainCar", "Change in P"] in lines
+    assert ["RIL", "default", "-90.00 ± 0.00 (1)", "-115.00 ± 5.00 (2)", ""] in lines
     assert ["", FADE, "", "-105.00 ± 5.00 (2)", "+0.10 [+0.10, +0.10]"] in lines
 
 
-def test_the_figure_has_a_row_per_variant_and_a_mark_per_environment() -> None:
+def test_the_figure_has_a_row_per_variant_and_a_marker_per_environment() -> None:
     given = evidence(
         *run("a", [-110.0, -120.0]),
         *run("b", [-100.0, -115.0], variant=FADE),
@@ -130,4 +130,4 @@ def test_a_single_seed_has_no_interval() -> None:
 def test_without_variants_the_table_says_so() -> None:
     grid = variants_grid(variants(evidence(*run("a", [-110.0])), "best"), "best")
     assert grid.body == []
-    assert grid.notes == ["no runs with keys set apart"]
+    assert grid.notes == ["no runs with overridden keys"]

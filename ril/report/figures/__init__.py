@@ -1,1 +1,1 @@
-"""The report's figures: plain data in, a matplotlib figure out."""
+"""The report's figures: plain data in, a drawing out."""

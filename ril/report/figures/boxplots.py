@@ -1,4 +1,4 @@
-"""Figure 4: how a method's returns spread over seeds, in each environment (§5.3)."""
+"""Figure 4: the distribution of returns over seeds, by method and environment (§5.3)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
-from ril.report.figures.style import INK, SMALL, WIDTH, Reference, house_style, look, name_rows
+from ril.report.figures.style import (
+    INK,
+    SMALL,
+    WIDTH,
+    Reference,
+    house_style,
+    method_style,
+    name_rows,
+)
 from ril.report.paper.tables import ENVIRONMENTS
 
 Reported = tuple[float, float | None]  # the paper's mean and ±
@@ -23,13 +31,13 @@ def boxplots(
     paper: Mapping[str, Mapping[str, Reported]],
     references: Mapping[str, Reference],
 ) -> Figure:
-    """Draw AER of each method and environment over seeds, beside the paper's mean ± (Figure 4).
+    """Draw box plots of AER over seeds, and the paper's mean and ± (Figure 4).
 
-    A method without values in an environment is a row that says so. Values below an
-    environment's `Reference.floor` are off the scale, and named at its edge.
+    A method without values in an environment is marked as not run. Values below
+    `Reference.floor` are written at the edge.
 
     Args:
-        ours: method → environment → (S,) AER of each seed; rows stand in this order.
+        ours: method → environment → (S,) AER of each seed; rows keep this order.
         paper: method → environment → the paper's mean and ±.
         references: environment → returns that are drawn as lines.
     """
@@ -51,8 +59,8 @@ def boxplots(
             Patch(facecolor="#8888", edgecolor="#888", label="our quartiles"),
             Line2D([], [], color="#888", marker="o", markersize=2.5, ls="", label="our seeds"),
             Line2D([], [], color=INK, marker="d", mfc="none", lw=0.8, label="paper, mean ±"),
-            Line2D([], [], color=INK, ls=look("Random").line, lw=0.8, label="random"),
-            Line2D([], [], color=INK, ls=look("Expert").line, lw=0.8, label="expert"),
+            Line2D([], [], color=INK, ls=method_style("Random").line, lw=0.8, label="random"),
+            Line2D([], [], color=INK, ls=method_style("Expert").line, lw=0.8, label="expert"),
         ],
         loc="outside upper center",
         ncols=5,
@@ -68,34 +76,34 @@ def _draw(
     reference: Reference,
 ) -> None:
     at = np.arange(len(methods))
-    colours = [look(method).colour for method in methods]
+    colors = [method_style(method).color for method in methods]
     boxes = axes.boxplot(
         values,
         positions=at,
         orientation="horizontal",
         widths=0.42,
         patch_artist=True,
-        showfliers=False,  # every seed is drawn as a dot anyway
+        showfliers=False,  # dots show every seed
         manage_ticks=False,
     )
     for part, per_box in (("boxes", 1), ("medians", 1), ("whiskers", 2), ("caps", 2)):
-        for artist, colour in zip(boxes[part], np.repeat(colours, per_box), strict=True):
-            artist.set_color(colour)
-    for box, colour in zip(boxes["boxes"], colours, strict=True):
-        box.set_facecolor((colour, 0.25))
+        for artist, color in zip(boxes[part], np.repeat(colors, per_box), strict=True):
+            artist.set_color(color)
+    for box, color in zip(boxes["boxes"], colors, strict=True):
+        box.set_facecolor((color, 0.25))
     for median in boxes["medians"]:
         median.set_linewidth(2)
     sizes = [len(seeds) for seeds in values]
     row = np.repeat(at, sizes)
-    spread = np.concatenate([np.linspace(-0.15, 0.15, size) for size in sizes])
+    offset = np.concatenate([np.linspace(-0.15, 0.15, size) for size in sizes])
     axes.scatter(
-        np.concatenate(values), row + spread, s=5, c=np.repeat(colours, sizes), lw=0, zorder=3
+        np.concatenate(values), row + offset, s=5, c=np.repeat(colors, sizes), lw=0, zorder=3
     )
-    means, spreads = np.array([(mean, spread or 0) for mean, spread in reported], dtype=float).T
+    means, stds = np.array([(mean, std or 0) for mean, std in reported], dtype=float).T
     axes.errorbar(
         means,
         at + 0.36,
-        xerr=spreads,
+        xerr=stds,
         fmt="d",
         color=INK,
         mfc="none",
@@ -103,12 +111,10 @@ def _draw(
         mew=0.7,
         elinewidth=0.7,
     )
-    axes.axvline(reference.random, color=INK, ls=look("Random").line, lw=0.8)
-    axes.axvline(reference.expert, color=INK, ls=look("Expert").line, lw=0.8)
+    axes.axvline(reference.random, color=INK, ls=method_style("Random").line, lw=0.8)
+    axes.axvline(reference.expert, color=INK, ls=method_style("Expert").line, lw=0.8)
 
-    drawn = np.array(
-        [*np.concatenate(values), *means - spreads, *means + spreads, reference.expert]
-    )
+    drawn = np.array([*np.concatenate(values), *means - stds, *means + stds, reference.expert])
     low, high = max(np.nanmin(drawn), reference.floor), np.nanmax(drawn)
     margin = 0.04 * (high - low) or 1.0
     axes.set_xlim(low - margin, high + margin)
@@ -117,8 +123,8 @@ def _draw(
         beyond = [f"seeds to {min(seeds):.0f}"] if seeds.size and min(seeds) < low else []
         beyond += [f"paper {mean:.0f}"] if mean < low else []
         if beyond:
-            says = "◂ " + ", ".join(beyond).replace("-", "−")
-            axes.text(0.01, y - 0.39, says, transform=edge, fontsize=SMALL, va="center")
+            text = "◂ " + ", ".join(beyond).replace("-", "−")
+            axes.text(0.01, y - 0.39, text, transform=edge, fontsize=SMALL, va="center")
         count = f"{seeds.size}" if seeds.size else "not run"
         axes.text(1.02, y, count, transform=edge, fontsize=SMALL, va="center")
     axes.text(1.02, -0.8, "seeds", transform=edge, fontsize=SMALL, va="center")

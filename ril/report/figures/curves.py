@@ -1,4 +1,4 @@
-"""Learning curves: return against samples, in each environment (what the paper lacks)."""
+"""Learning curves, which the paper lacks: return against samples, by environment."""
 
 from __future__ import annotations
 
@@ -13,28 +13,27 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter, NullFormatter
 from scipy.stats import bootstrap
 
-from ril.report.figures.style import INK, SMALL, WIDTH, Reference, house_style, look
+from ril.report.figures.style import INK, SMALL, WIDTH, Reference, house_style, method_style
 from ril.report.paper.tables import ENVIRONMENTS
 
-_POINTS = 100  # of a line: as fine as it can be seen
+_POINTS = 100  # per line; more would be invisible
 
 
 def stepwise(curve: pd.DataFrame) -> pd.DataFrame:
-    """Put a method's seeds on one grid of samples: at each, a seed's last look at or before it.
+    """Align a method's seeds on one grid of samples, each at its latest evaluation.
 
-    A seed that stopped early keeps its last look. The grid begins where every seed has been
-    looked at.
+    A seed that stopped early keeps its last evaluation. The grid begins where every seed has one.
 
     Args:
-        curve: a row per look, with seed, epoch, samples and aer.
+        curve: a row per evaluation: seed, epoch, samples, aer.
 
     Returns:
-        A row per number of samples (equally far apart on a log axis), a column per seed.
+        A row per number of samples, equidistant on a log axis, and a column per seed.
     """
     ordered = curve.sort_values("epoch")
-    looks = ordered.pivot_table(index="samples", columns="seed", values="aer", aggfunc="last")
-    grid = np.unique(np.geomspace(looks.index.min(), looks.index.max(), _POINTS))
-    return looks.ffill().reindex(grid, method="ffill").dropna()
+    evaluations = ordered.pivot_table(index="samples", columns="seed", values="aer", aggfunc="last")
+    grid = np.unique(np.geomspace(evaluations.index.min(), evaluations.index.max(), _POINTS))
+    return evaluations.ffill().reindex(grid, method="ffill").dropna()
 
 
 @house_style()
@@ -48,10 +47,10 @@ def learning_curves(
     """Draw the mean return over seeds against samples, with its 95 % bootstrap interval.
 
     Args:
-        curves: a row per look: method (title), env, seed, epoch, samples, aer.
+        curves: a row per evaluation: method, env, seed, epoch, samples, aer.
         references: environment → returns that are drawn as lines.
-        paper: environment → the paper's samples (Table 3) and AER (Table 2) of RIL, a star.
-        best_so_far: of a seed's looks up to there the best, instead of the last.
+        paper: environment → the paper's samples (Table 3) and AER (Table 2) of RIL, as a star.
+        best_so_far: draw the best of a seed's evaluations so far instead of the latest.
     """
     figure = Figure(
         (WIDTH, 6.2),
@@ -68,8 +67,8 @@ def learning_curves(
             axes.plot(*paper[env], zorder=6, **_PAPER)
         axes.set_title(title, loc="left")
     figure.supxlabel("samples", fontsize=8)
-    looked = "best look so far" if best_so_far else "look"
-    figure.supylabel(f"return of the {looked}: mean over seeds, 95 % interval", fontsize=8)
+    which = "best evaluation so far" if best_so_far else "latest evaluation"
+    figure.supylabel(f"return, {which}: mean over seeds, 95 % interval", fontsize=8)
     lines = {"random": _RANDOM, "expert": _EXPERT, "solved": _SOLVED, "RIL in the paper": _PAPER}
     ours = {method: _line(method) for method in dict.fromkeys(curves["method"])}
     figure.legend(
@@ -80,37 +79,43 @@ def learning_curves(
     return figure
 
 
-_RANDOM: dict[str, Any] = {"color": INK, "lw": 0.8, "ls": look("Random").line}
-_EXPERT = _RANDOM | {"ls": look("Expert").line}
+_RANDOM: dict[str, Any] = {"color": INK, "lw": 0.8, "ls": method_style("Random").line}
+_EXPERT = _RANDOM | {"ls": method_style("Expert").line}
 _SOLVED = _RANDOM | {"ls": ":"}
-_PAPER: dict[str, Any] = {"color": INK, "marker": "*", "ms": 9, "mfc": look("RIL").colour, "ls": ""}
+_PAPER: dict[str, Any] = {
+    "color": INK,
+    "marker": "*",
+    "ms": 9,
+    "mfc": method_style("RIL").color,
+    "ls": "",
+}
 
 
 def _line(method: str) -> dict[str, Any]:
-    colour, marker, line = look(method)
+    color, marker, line = method_style(method)
     width = 2.0 if method == "RIL" else 1.0
-    return {"color": colour, "marker": marker, "ls": line, "lw": width, "ms": 4.5}
+    return {"color": color, "marker": marker, "ls": line, "lw": width, "ms": 4.5}
 
 
 def _draw(axes: Axes, method: str, seeds: pd.DataFrame, floor: float) -> None:
     mean, top = seeds.mean(axis=1), 4 if method == "RIL" else 3
-    some = [len(mean) // 3, 2 * len(mean) // 3, -1]  # in grey-scale, all that tells lines apart
-    axes.plot(mean, markevery=some, zorder=top, label=method, **_line(method))
+    marked = [len(mean) // 3, 2 * len(mean) // 3, -1]  # markers distinguish lines in grayscale
+    axes.plot(mean, markevery=marked, zorder=top, label=method, **_line(method))
     if seeds.shape[1] > 1:
         drawn = bootstrap((seeds,), np.mean, axis=1, method="percentile", n_resamples=999, rng=0)
         low, high = drawn.confidence_interval
-        # The edge is all that shows of a method that was looked at once.
+        # A method with one evaluation has a band without width, so its edge must show.
         edge = 0.3 if len(seeds) > 1 else 2.0
         band: dict[str, Any] = {
-            "color": look(method).colour,
+            "color": method_style(method).color,
             "alpha": 0.12 if top == 3 else 0.25,
             "lw": edge,
         }
         axes.fill_between(seeds.index, low, high, zorder=top - 2, **band)
     if mean.iloc[-1] < floor:
-        says = f"{method} {mean.iloc[-1]:.0f} ▾".replace("-", "−")
+        text = f"{method} {mean.iloc[-1]:.0f} ▾".replace("-", "−")
         place = (mean.index[-1], 0.01)
-        axes.text(*place, says, transform=axes.get_xaxis_transform(), fontsize=SMALL, ha="center")
+        axes.text(*place, text, transform=axes.get_xaxis_transform(), fontsize=SMALL, ha="center")
 
 
 def _measure(axes: Axes, reference: Reference) -> None:

@@ -1,4 +1,4 @@
-"""Figures 5a and 5b: how eq. 2's limit on I^pos grows with the epochs (§6.4)."""
+"""Figures 5a and 5b: the limit of equation 2 on I^pos by epoch (§6.4)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ril.learners.goal_sampler import positive_limit
-from ril.report.figures.style import SMALL, WIDTH, house_style, look
+from ril.report.figures.style import SMALL, WIDTH, house_style, method_style
 
 _EPOCHS = range(151)
 _SLOPES = (1, 1.5, 2, 2.5, 3, 3.5, 4)
@@ -18,7 +18,7 @@ _LENGTHS = (37, 75, 112, 150)
 
 @house_style()
 def limits() -> Figure:
-    """Draw eq. 2 over 150 epochs: for each k at n = 150 (5a), for each n at k = 2 (5b)."""
+    """Draw equation 2 over 150 epochs: for each k at n = 150 (5a), for each n at k = 2 (5b)."""
     figure = Figure(
         (WIDTH, 2.6),
         layout="constrained",
@@ -37,13 +37,13 @@ def limits() -> Figure:
 
 
 def _draw(axes: Axes, settings: Sequence[tuple[str, float, float]]) -> None:
-    """One line per setting: its name, n and k; the paper's own choice as RIL is drawn."""
+    """Draw a line per setting (name, n, k), the paper's choice in RIL's color."""
     for shade, (name, n, k) in zip(np.linspace(1, 0.5, len(settings)), settings, strict=True):
         chosen = (n, k) == (150, 2)
         axes.plot(
             _EPOCHS,
             [positive_limit(epoch, n, k) for epoch in _EPOCHS],
-            color=look("RIL").colour if chosen else look("DQN₂").colour,
+            color=method_style("RIL").color if chosen else method_style("DQN₂").color,
             alpha=1 if chosen else shade,
             lw=2 if chosen else 1.1,
             zorder=3 if chosen else 2,

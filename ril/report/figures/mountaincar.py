@@ -1,4 +1,4 @@
-"""What policies do in MountainCar's states, beside an optimal one (Figures 2, 3 and 5c)."""
+"""Policies in the states of MountainCar, compared with an optimal one (Figures 2, 3 and 5c)."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from ril.report.mountaincar import (
     play,
 )
 
-#: By action; they differ in lightness, too.
-COLOURS = ("#0067a5", "#c46aa3", "#f4b63a")
+#: By action; they also differ in lightness.
+COLORS = ("#0067a5", "#c46aa3", "#f4b63a")
 _EPISODE: dict[str, Any] = {"color": INK, "linewidth": 0.8, "alpha": 0.7}
-_MIDDLE = STARTS.mean(keepdims=True)  # of the starts
+_MIDDLE = STARTS.mean(keepdims=True)
 
 Policies = Mapping[str, DiscretePolicy | None]
 Commands = Mapping[str, str]
 
 
 def representative_seed(rows: pd.DataFrame) -> int:
-    """The seed whose AER is the median of its run; of an even number, the worse of the two amid."""
+    """Return the seed with the median AER; of an even number, the lower of the middle two."""
     return int(rows.sort_values("aer")["seed"].iloc[(len(rows) - 1) // 2])
 
 
@@ -48,17 +48,19 @@ def representative_seed(rows: pd.DataFrame) -> int:
         "axes3d.xaxis.panecolor": "none",
         "axes3d.yaxis.panecolor": "none",
         "axes3d.zaxis.panecolor": "none",
-        "grid.color": f"{INK}30",  # grid.alpha is not for these axes
+        "grid.color": f"{INK}30",  # grid.alpha has no effect on 3-D axes
     }
 )
 def probability_meshes(policies: Policies, commands: Commands) -> Figure:
-    """The probability of the likeliest action over all states, as 3-D meshes (Figure 2).
+    """Draw the probability of the most likely action over all states as 3-D meshes (Figure 2).
 
     Args:
-        policies: by title; None for one that is not run.
-        commands: by title, that run what is not run.
+        policies: by title; None where not run.
+        commands: by title, to show where not run.
     """
-    figure = _figure("Probability of each policy's likeliest action, by state of MountainCar", 5.8)
+    figure = _figure(
+        "Probability of each policy's most likely action, by state of MountainCar", 5.8
+    )
     axes = {
         "projection": "3d", "elev": 32, "azim": -125,
         "xlabel": "position", "xlim": (-1.2, 0.5), "xticks": (-1, -0.5, 0, 0.5),
@@ -71,7 +73,7 @@ def probability_meshes(policies: Policies, commands: Commands) -> Figure:
         ax.plot_surface(
             *np.moveaxis(states, -1, 0),
             probabilities.max(axis=-1),
-            facecolors=np.array(COLOURS)[probabilities.argmax(axis=-1)],
+            facecolors=np.array(COLORS)[probabilities.argmax(axis=-1)],
             rstride=1,
             cstride=1,
             edgecolor=INK,
@@ -83,14 +85,16 @@ def probability_meshes(policies: Policies, commands: Commands) -> Figure:
 
 @house_style()
 def action_maps(policies: Policies, commands: Commands) -> Figure:
-    """Greedy actions in 20 × 20 states, coloured where they are π*'s (Figure 3).
+    """Draw greedy actions in 20 × 20 states, colored where they are those of π* (Figure 3).
 
     Args:
-        policies: by title; None for one that is not run.
-        commands: by title, that run what is not run.
+        policies: by title; None where not run.
+        commands: by title, to show where not run.
     """
-    label = "Greedy actions by state of MountainCar, coloured where they are π*'s"
-    other = Line2D([], [], color=INK, marker=">", markersize=3, linestyle="", label="not π*'s")
+    label = "Greedy actions by state of MountainCar, colored where they are those of π*"
+    other = Line2D(
+        [], [], color=INK, marker=">", markersize=3, linestyle="", label="differs from π*"
+    )
     episode = Line2D([], [], **_EPISODE, label="episode of π*")
     figure = _figure(label, 6.2, other, episode)
     axes = {"xlabel": "position", "ylabel": "velocity"}
@@ -103,7 +107,7 @@ def action_maps(policies: Policies, commands: Commands) -> Figure:
         ax.pcolormesh(
             *np.moveaxis(states, -1, 0),
             np.ma.array(actions, mask=~same).reshape(states.shape[:2]),
-            cmap=ListedColormap(COLOURS),
+            cmap=ListedColormap(COLORS),
             vmin=-0.5,
             vmax=2.5,
             edgecolors=(INK, 0.2),
@@ -119,11 +123,11 @@ def action_maps(policies: Policies, commands: Commands) -> Figure:
 
 @house_style()
 def action_distributions(policies: Policies, commands: Commands) -> Figure:
-    """Action probabilities in the states of one episode of π*, from the middle (Figure 5c).
+    """Draw action probabilities in the states of one episode of π* (Figure 5c).
 
     Args:
-        policies: by title; None for one that is not run.
-        commands: by title, that run what is not run.
+        policies: by title; None where not run.
+        commands: by title, to show where not run.
     """
     figure = _figure("Probabilities of the actions along an episode of π*", 5.2)
     _, path = play(optimal_policy(), _MIDDLE)
@@ -138,17 +142,15 @@ def action_distributions(policies: Policies, commands: Commands) -> Figure:
     panels = figure.subplots(4, 1, sharex=True, sharey=True, subplot_kw=axes)
     for ax, _, policy in _panels(panels, policies, commands):
         shares = policy.probabilities(path).T
-        ax.stackplot(np.arange(len(path)), shares, colors=COLOURS, linewidth=0)
+        ax.stackplot(np.arange(len(path)), shares, colors=COLORS, linewidth=0)
         ax.vlines(switches, 0, 1, INK, "--", linewidth=0.7)
     return figure
 
 
 def _figure(label: str, height: float, *keys: Artist) -> Figure:
-    """An empty figure with a legend of the actions and some more keys."""
+    """Create an empty figure with a legend of the actions and some more keys."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained", label=label)
-    patches = [
-        Patch(color=colour, label=name) for colour, name in zip(COLOURS, ACTIONS, strict=True)
-    ]
+    patches = [Patch(color=color, label=name) for color, name in zip(COLORS, ACTIONS, strict=True)]
     figure.legend(handles=[*patches, *keys], loc="outside upper center", ncols=5)
     return figure
 
@@ -156,12 +158,12 @@ def _figure(label: str, height: float, *keys: Artist) -> Figure:
 def _panels(
     panels: NDArray[Any], policies: Policies, commands: Commands
 ) -> Iterator[tuple[Any, str, DiscretePolicy]]:
-    """A titled panel for each policy; those not run say so, and the others are left to be drawn."""
+    """Title a panel for each policy, label those not run, and yield the others to be drawn."""
     for ax, (title, policy) in zip(panels.flat, policies.items(), strict=True):
         ax.set_title(title)
         if policy is not None:
             yield ax, title, policy
             continue
-        says = f"not run\n{fill(commands[title], 40)}"
+        text = f"not run\n{fill(commands[title], 40)}"
         middle = {"xycoords": "axes fraction", "ha": "center", "va": "center"}
-        ax.annotate(says, (0.5, 0.5), fontsize=SMALL, **middle)
+        ax.annotate(text, (0.5, 0.5), fontsize=SMALL, **middle)

@@ -1,4 +1,4 @@
-"""How RIL's return depends on one of its settings: Tables 6 to 9 as plots (§6.3, §6.4, §7)."""
+"""RIL's return by one of its settings: Tables 6 to 9 as plots (§6.3, §6.4, §7)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
-from ril.report.figures.style import INK, WIDTH, house_style, look
+from ril.report.figures.style import INK, WIDTH, house_style, method_style
 from ril.report.paper.tables import ENVIRONMENTS
 from ril.report.statistics import mean_interval
 
@@ -20,7 +20,7 @@ class Point(NamedTuple):
     """RIL in one environment at one value of the setting.
 
     Attributes:
-        env: `env=` by ours.
+        env: the value of `env=`.
         x: the setting's value.
         ours: (S,) AER of each seed; empty where not run.
         paper: the paper's AER; None where it reports none.
@@ -36,11 +36,11 @@ class Point(NamedTuple):
 def sensitivity(points: Iterable[Point], setting: str) -> Figure:
     """Draw RIL's AER against a setting, ours and the paper's, in a panel per environment.
 
-    What was not run, or is not in the paper, is a gap in its line.
+    Points that are not run, or not in the paper, are gaps in the lines.
 
     Args:
-        points: in any order; environments without any get no panel.
-        setting: what x is, in words.
+        points: in any order; an environment without points gets no panel.
+        setting: the label of x.
     """
     given = sorted(points, key=lambda point: point.x)
     panels = [env for env in ENVIRONMENTS if any(point.env == env for point in given)]
@@ -52,16 +52,16 @@ def sensitivity(points: Iterable[Point], setting: str) -> Figure:
         axes.set_title(ENVIRONMENTS[env], loc="left")
     figure.supxlabel(setting, fontsize=8)
     figure.supylabel("AER", fontsize=8)
-    colour, marker, line = look("RIL")
+    color, marker, line = method_style("RIL")
     figure.legend(
         handles=[
             Line2D(
-                [], [], color=colour, marker=marker, ls=line, label="ours, mean and 95 % interval"
+                [], [], color=color, marker=marker, ls=line, label="ours, mean and 95 % interval"
             ),
             Line2D(
                 [],
                 [],
-                color=colour,
+                color=color,
                 marker="o",
                 ms=2.5,
                 mew=0,
@@ -88,7 +88,7 @@ _PAPER: dict[str, Any] = {
 
 
 def _draw(axes: Axes, points: list[Point]) -> None:
-    colour, marker, line = look("RIL")
+    color, marker, line = method_style("RIL")
     x = np.array([point.x for point in points])
     ours = [np.asarray(point.ours, dtype=float) for point in points]
     means = np.array([seeds.mean() if seeds.size else np.nan for seeds in ours])
@@ -97,7 +97,7 @@ def _draw(axes: Axes, points: list[Point]) -> None:
     axes.plot(
         np.repeat(x, [seeds.size for seeds in ours]),
         np.concatenate(ours),
-        color=colour,
+        color=color,
         alpha=0.45,
         marker="o",
         ms=2.5,
@@ -109,7 +109,7 @@ def _draw(axes: Axes, points: list[Point]) -> None:
         x,
         means,
         np.abs(bounds.T - means),
-        color=colour,
+        color=color,
         marker=marker,
         ls=line,
         elinewidth=0.9,

@@ -1,4 +1,4 @@
-"""Methods over all environments at once: aggregate performance, and how often RIL is better."""
+"""Aggregate performance over all environments, and the probability that RIL is better."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ril.report.figures.style import INK, WIDTH, house_style, look, name_rows
-from ril.report.statistics import Aggregate
+from ril.report.figures.style import INK, WIDTH, house_style, method_style, name_rows
+from ril.report.statistics import Aggregate, Estimate
 
-Estimate = tuple[float, float, float]  # value, and its 95 % interval's low and high
 _MEASURES = {
     "mean": "mean P",
     "median": "median P",
@@ -25,8 +24,8 @@ def aggregates(by_method: Mapping[str, Aggregate]) -> Figure:
     """Draw mean, median, interquartile mean and optimality gap of performance P, per method.
 
     Args:
-        by_method: title → its aggregates over environments and seeds, each with a 95 %
-            interval; rows stand in this order.
+        by_method: method → its aggregates over environments and seeds, each with a 95 %
+            interval; rows keep this order.
     """
     figure = Figure(
         (WIDTH, 0.19 * len(by_method) + 0.75),
@@ -47,8 +46,7 @@ def improvement(by_method: Mapping[str, Estimate]) -> Figure:
     """Draw the probability that a seed of RIL is better than one of another method.
 
     Args:
-        by_method: the other's title → the probability and its 95 % interval; rows stand in
-            this order.
+        by_method: other method → the probability and its 95 % interval; rows keep this order.
     """
     figure = Figure(
         (WIDTH, 0.19 * len(by_method) + 0.75),
@@ -63,12 +61,14 @@ def improvement(by_method: Mapping[str, Estimate]) -> Figure:
 
 
 def _draw(axes: Axes, methods: Sequence[str], estimates: Sequence[Estimate]) -> None:
-    """A row per method: a bar over the interval, and a mark at the value."""
+    """Draw a row per method: a bar over the interval, and a marker at the value."""
     at = np.arange(len(methods))
-    colours = [look(method).colour for method in methods]
+    colors = [method_style(method).color for method in methods]
     values, lows, highs = np.array(estimates, dtype=float).reshape(-1, 3).T
-    axes.use_sticky_edges = False  # bars are not cut off at the frame
-    axes.barh(at, highs - lows, left=lows, height=0.5, color=colours, alpha=0.45)
+    axes.use_sticky_edges = False  # keeps bars off the frame
+    axes.barh(at, highs - lows, left=lows, height=0.5, color=colors, alpha=0.45)
     for y, value, method in zip(at, values, methods, strict=True):
-        axes.plot(value, y, color=look(method).colour, marker=look(method).marker, ms=5)
+        axes.plot(
+            value, y, color=method_style(method).color, marker=method_style(method).marker, ms=5
+        )
     name_rows(axes, methods)

@@ -1,4 +1,4 @@
-"""The figures' one house style: on paper, on a light or dark page, and for colour-blind people."""
+"""The figures' house style: for print, light and dark pages, and color-blind readers."""
 
 from __future__ import annotations
 
@@ -17,54 +17,56 @@ from matplotlib.figure import Figure
 
 from ril.io.files import write_atomically
 
-#: All text, axes and ticks. A page replaces it by its own ink, so no data may have it but
-#: what should follow the page too: the paper's numbers and the references.
+#: Color of text, axes, the paper's numbers and references. Pages replace it by their own ink, so
+#: our data must have other colors.
 INK = "#1f2328"
 WIDTH = 7.0  # inches: the width of a page's text
 SMALL = 7.0  # points: the smallest text
-_FONT = "DejaVu Sans"  # comes with matplotlib, and is wider than any of:
-_PAGE_FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
+_FONT = "DejaVu Sans"  # ships with matplotlib, and is wider than each of:
+PAGE_FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 
 
-class Look(NamedTuple):
-    """How a method is drawn, everywhere: no two known ones share a colour or a marker."""
+class MethodStyle(NamedTuple):
+    """How figures draw a method: each method of the paper has its own color and marker."""
 
-    colour: str
+    color: str
     marker: str
     line: str
 
 
-#: Legible on white and on a dark page (contrast above 2.6 on both), and kept as far apart for
-#: colour-blind people as that allows. In grey-scale it is the marker that tells them apart.
-_LOOKS = {
-    "Random": Look(INK, "1", "-."),
-    "Expert": Look(INK, "2", "--"),
-    "DQN₁": Look("#1ba4c1", "s", "-"),
-    "DQN₂": Look("#2861f0", "D", "-"),
-    "PPO": Look("#a074ee", "p", "-"),
-    "ACKTR": Look("#715e9b", "h", "-"),
-    "BC": Look("#c1934b", "v", "-"),
-    "GAIL": Look("#f56aa0", "^", "-"),
-    "ILPO": Look("#af3063", "<", "-"),
-    "IUPE": Look("#2f8f4e", ">", "-"),
-    "RIL": Look("#d9480f", "o", "-"),
-    "RIL*": Look("#8f4a24", "P", "--"),
+#: Contrast with white and with a dark page is above 2.6, and colors differ as much for color-blind
+#: readers as that allows. In grayscale, markers distinguish the methods.
+_METHODS = {
+    "Random": MethodStyle(INK, "1", "-."),
+    "Expert": MethodStyle(INK, "2", "--"),
+    "DQN₁": MethodStyle("#1ba4c1", "s", "-"),
+    "DQN₂": MethodStyle("#2861f0", "D", "-"),
+    "PPO": MethodStyle("#a074ee", "p", "-"),
+    "ACKTR": MethodStyle("#715e9b", "h", "-"),
+    "BC": MethodStyle("#c1934b", "v", "-"),
+    "GAIL": MethodStyle("#f56aa0", "^", "-"),
+    "ILPO": MethodStyle("#af3063", "<", "-"),
+    "IUPE": MethodStyle("#2f8f4e", ">", "-"),
+    "RIL": MethodStyle("#d9480f", "o", "-"),
+    "RIL*": MethodStyle("#8f4a24", "P", "--"),
 }
-_OTHERS = tuple(Look(colour, "X", "-.") for colour in ("#3f7d8c", "#a05a9c", "#7d7a2e", "#b0604f"))
+_OTHERS = tuple(
+    MethodStyle(color, "X", "-.") for color in ("#3f7d8c", "#a05a9c", "#7d7a2e", "#b0604f")
+)
 
 
-def look(method: str) -> Look:
-    """A method's look by its title; one that is not known has the same at every call."""
-    return _LOOKS.get(method) or _OTHERS[crc32(method.encode()) % len(_OTHERS)]
+def method_style(method: str) -> MethodStyle:
+    """Return a method's style; one beyond the paper has the same in every figure."""
+    return _METHODS.get(method) or _OTHERS[crc32(method.encode()) % len(_OTHERS)]
 
 
 class Reference(NamedTuple):
-    """What the returns in an environment are measured against (§4).
+    """The reference returns of an environment (§4).
 
     Attributes:
         random: mean return of random actions.
         expert: mean return of the expert.
-        solved: the return from which on the environment counts as solved, if it says one.
+        solved: mean return from which the environment counts as solved; None without one.
     """
 
     random: float
@@ -73,11 +75,11 @@ class Reference(NamedTuple):
 
     @property
     def floor(self) -> float:
-        """The lowest return that is drawn, so that one bad method does not squash the others."""
+        """Lowest return that is drawn, so that one bad method does not compress the others."""
         return self.random - 0.15 * (self.expert - self.random)
 
 
-_PARAMETERS: Any = {  # matplotlib's type for this would be a TypedDict of 300 names
+_PARAMETERS: Any = {  # matplotlib's own type is a TypedDict of 300 names
     **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor"), INK),
     **dict.fromkeys(("xtick.color", "ytick.color", "grid.color", "hatch.color"), INK),
     **dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), "none"),
@@ -94,14 +96,14 @@ _PARAMETERS: Any = {  # matplotlib's type for this would be a TypedDict of 300 n
     "grid.linewidth": 0.5,
     "lines.linewidth": 1.1,
     "lines.markersize": 4,
-    "pdf.fonttype": 42,  # text stays text
+    "pdf.fonttype": 42,  # keeps text as text
     "svg.fonttype": "none",
 }
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Matplotlib's parameters while a figure is made or written; a decorator, too."""
+    """Set matplotlib's parameters while a figure is drawn or written; also a decorator."""
     with matplotlib.rc_context(_PARAMETERS):
         yield
 
@@ -117,15 +119,15 @@ def name_rows(axes: Axes, methods: Sequence[str]) -> None:
 
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure for print, as vectors and as pixels, on white.
+    """Write a figure on white as PDF and as PNG of 300 dots per inch.
 
     Args:
-        figure: what to write.
-        folder: an existing one.
-        name: of the files, without an ending.
+        figure: to write.
+        folder: an existing folder.
+        name: of the files, without suffix.
 
     Returns:
-        The files, a PDF and a PNG of 300 dots per inch; the same bytes for the same figure.
+        The files; the same figure gives the same bytes.
     """
     undated = {"pdf": {"CreationDate": None}, "png": {"Software": None}}
     paths = [folder / f"{name}.{ending}" for ending in undated]
@@ -138,11 +140,11 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 
 def as_svg(figure: Figure, name: str) -> str:
-    """A figure as an element of an HTML page, in the page's own ink and as wide as there is room.
+    """Convert a figure to an `<svg>` element in the ink and at the width of its HTML page.
 
     Args:
-        figure: its label (`Figure(label=…)`) is what a screen reader says it shows.
-        name: begins all ids, so that those of several figures on a page differ.
+        figure: its label (`Figure(label=…)`) describes it to screen readers.
+        name: prefix of all ids, so that figures on one page share none.
 
     Returns:
         One `<svg>` element.
@@ -151,10 +153,10 @@ def as_svg(figure: Figure, name: str) -> str:
     with house_style(), matplotlib.rc_context({"svg.hashsalt": name}):
         figure.savefig(content, format="svg", metadata={"Date": None})
     drawn = content.getvalue()
-    # What stands before is of a file of its own: a prologue, and style for the whole document.
+    # Drop the prologue of a standalone file and its document-wide style.
     drawn = drawn[drawn.index('<g id="figure_1"') :]
     drawn = re.sub(r'(id="|url\(#|href="#)', rf"\g<0>{name}-", drawn)
-    # A hundredth of a point is finer than can be seen, and half the size.
+    # A hundredth of a point is invisible, and halves the size.
     drawn = re.sub(r"(\.\d\d)\d{3,}", r"\1", drawn)
     drawn = drawn.replace(INK, "currentColor").replace(f"'{_FONT}'", "inherit")
     width, height = 72 * figure.get_size_inches()
@@ -165,7 +167,7 @@ def as_svg(figure: Figure, name: str) -> str:
         "width": "100%",
         "role": "img",
         "aria-label": figure.get_label() or name,
-        "font-family": _PAGE_FONTS,
+        "font-family": PAGE_FONTS,
         "stroke-linejoin": "round",
     }
     attributes = " ".join(f"{key}={quoteattr(str(value))}" for key, value in root.items())

@@ -1,1 +1,1 @@
-"""The paper as data: its tables, its claims, and where they contradict each other."""
+"""The paper as data: its tables, its claims, and the audit of their contradictions."""

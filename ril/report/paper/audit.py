@@ -1,4 +1,4 @@
-"""The paper against itself: what can be computed from its own numbers, beside what it says."""
+"""The audit of the paper: its numbers and claims, checked against each other."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ import pandas as pd
 
 from ril.report.layout import Grid
 from ril.report.paper import prose_experiments, prose_results
-from ril.report.paper.printed import SETTING, Frame, Printed, Range, agree, reach, rounded
+from ril.report.paper.printed import SETTING, Frame, Printed, Range, agree, propagate, rounded
 from ril.report.paper.prose import Statement
 from ril.report.paper.tables import ENVIRONMENTS
 
-_LIKE = ["method", "env", "mean"]  # of a number that is printed for another setting, too
-#: What is looked up of the text.
+_SAME = ["method", "env", "mean"]  # equal for a number that is repeated in another setting
+#: The claims of the text that are checked against the tables.
 STATEMENTS = (*prose_experiments.STATEMENTS, *prose_results.STATEMENTS)
 _RANDOM, _EXPERT = "Random", "Expert"
-#: Between a number in the text and what it is worked out from: two numbers of two decimals.
+#: Tolerance for a number that the text computes from two numbers of two decimals.
 _INPUTS_ROUNDED = 0.01
 
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Two things the paper says that cannot both be so, whatever was lost in rounding.
+    """Two statements of the paper that exclude each other, whatever the rounding.
 
     Attributes:
         where: the table and cell, or the section.
-        says: what is said there.
-        against: what its numbers give.
-        why: how the second follows, in words; what may have gone wrong.
+        says: the statement.
+        against: what the paper's numbers give.
+        why: how that follows, and a likely cause of the error.
     """
 
     where: str
@@ -40,10 +40,10 @@ class Contradiction:
 
 
 def audit(text: str | None = None) -> list[Contradiction]:
-    """All contradictions within the paper: its tables, then its text against them.
+    """Return all contradictions: within the tables, then between the text and the tables.
 
     Args:
-        text: of a file as `paper.yaml`; None for the paper's own.
+        text: contents of a file like `tables.yaml`; None for the paper's own.
     """
     printed = Printed(text)
     return [
@@ -56,33 +56,33 @@ def audit(text: str | None = None) -> list[Contradiction]:
 
 
 def contradictions_grid(contradictions: Sequence[Contradiction]) -> Grid:
-    """A line for each contradiction."""
+    """Lay out contradictions, a line each."""
     body = [[each.where, each.says, each.against, each.why] for each in contradictions]
-    note = f"{len(STATEMENTS)} statements of the text were looked up in the tables"
-    head = ["Where", "It says", "Its numbers give", "Why"]
-    return Grid("audit", "The paper against itself", 4, head, body, [note])
+    note = f"{len(STATEMENTS)} claims of the text were checked against the tables"
+    head = ["Where", "The paper says", "Its numbers give", "Why"]
+    return Grid("audit", f"{len(body)} contradictions within the paper", 4, head, body, [note])
 
 
 def _performance(aer: float, random: float, expert: float) -> float:
-    """P of §4."""
+    """Compute P (§4)."""
     return (aer - random) / (expert - random)
 
 
 def _references(printed: Printed) -> Frame:
-    """Table 2's Random and Expert as printed, by environment."""
+    """Return Table 2's Random and Expert as printed, by environment."""
     cells = printed.cells()
     two = cells[(cells["table"] == "table2") & cells["method"].isin([_RANDOM, _EXPERT])]
     return two.pivot(index="env", columns="method", values="mean")
 
 
 def _computed(aer: str, references: Frame, env: str) -> Range:
-    """The range of P from printed numbers."""
+    """Compute the range of P from printed numbers."""
     texts = (aer, references.loc[env, _RANDOM], references.loc[env, _EXPERT])
-    return reach(_performance, [rounded(str(number)) for number in texts])
+    return propagate(_performance, [rounded(str(number)) for number in texts])
 
 
 def _performances(printed: Printed) -> Iterator[Contradiction]:
-    """Each printed P and its ± against its AER and ±."""
+    """Check each printed P and its ± against its AER and ±."""
     references = _references(printed)
     keys = ["table", *SETTING]
     cells = printed.cells().merge(printed.cells("performance"), on=keys, suffixes=("", "_of_p"))
@@ -93,19 +93,19 @@ def _performances(printed: Printed) -> Iterator[Contradiction]:
         if not agree(found, rounded(cell["mean_of_p"])):
             why = f"(AER − random) / (expert − random), with its AER of {cell['mean']}"
             yield Contradiction(where, f"P = {cell['mean_of_p']}", f"P = {found[0]:.3f}", why)
-        if not cell["spread_of_p"]:
+        if not cell["std_of_p"]:
             continue
-        scaled = [cell["spread"], *references.loc[env, [_EXPERT, _RANDOM]]]
+        scaled = [cell["std"], *references.loc[env, [_EXPERT, _RANDOM]]]
         ranges = [rounded(number) for number in scaled]
-        spread = reach(lambda by, expert, random: by / (expert - random), ranges)
-        if not agree(spread, rounded(cell["spread_of_p"])):
-            why = f"its AER's ± {cell['spread']} / (expert − random)"
-            says, against = f"± {cell['spread_of_p']}", f"± {spread[0]:.3f}"
+        std = propagate(lambda by, expert, random: by / (expert - random), ranges)
+        if not agree(std, rounded(cell["std_of_p"])):
+            why = f"± {cell['std']} of its AER / (expert − random)"
+            says, against = f"± {cell['std_of_p']}", f"± {std[0]:.3f}"
             yield Contradiction(f"{where}, ± of P", says, against, why)
 
 
 def _averages(printed: Printed) -> Iterator[Contradiction]:
-    """Each average P, and its ± over environments, against the four AERs."""
+    """Check each average P, and its ± over environments, against the four AERs."""
     references = _references(printed)
     returns = printed.cells()
     averages = printed.cells("performance").query("env == 'average'")
@@ -116,11 +116,11 @@ def _averages(printed: Printed) -> Iterator[Contradiction]:
             for env, aer in returns.loc[of_method, ["env", "mean"]].to_numpy()
         ]
         where = f"{_title(average['table'])}, average P of {average['method']}"
-        # The standard deviation's least is not at a corner, but rounding moves it hardly at all.
-        for name, function in (("mean", np.mean), ("spread", lambda v: np.std(v, ddof=1))):
+        # The minimum of a standard deviation is not at a corner, but rounding hardly moves it.
+        for name, function in (("mean", np.mean), ("std", lambda v: np.std(v, ddof=1))):
             if not average[name]:
                 continue
-            found = reach(lambda *values, f=function: float(f(values)), by_env)
+            found = propagate(lambda *values, f=function: float(f(values)), by_env)
             if not agree(found, rounded(average[name])):
                 sign = "" if name == "mean" else "± "
                 what = "mean" if name == "mean" else "sample standard deviation"
@@ -130,16 +130,16 @@ def _averages(printed: Printed) -> Iterator[Contradiction]:
 
 
 def _repeated(printed: Printed) -> Iterator[Contradiction]:
-    """Each number of a setting that an earlier table has too, and differently."""
+    """Check each number whose setting is also in an earlier table."""
     cells = printed.cells()
     for _, group in cells.groupby(SETTING, sort=False):
         first = group.iloc[0]
         for _, cell in group.iloc[1:].iterrows():
             if agree(rounded(cell["mean"]), rounded(first["mean"])):
                 continue
-            like = (cells[_LIKE] == cell[_LIKE]).all(axis=1)
-            others = cells[like & (cells["trajectories"] != cell["trajectories"])]
-            why = f"both are of one setting, with trajectories = {cell['trajectories']}"
+            same = (cells[_SAME] == cell[_SAME]).all(axis=1)
+            others = cells[same & (cells["trajectories"] != cell["trajectories"])]
+            why = f"both have the same setting, with trajectories = {cell['trajectories']}"
             if len(others):
                 other = others.iloc[0]
                 why += f"; {_title(other['table'])} has this number for {other['trajectories']}"
@@ -152,8 +152,12 @@ def _repeated(printed: Printed) -> Iterator[Contradiction]:
 
 
 def _trajectories(printed: Printed) -> Iterator[Contradiction]:
-    """The expert's return against the length of its 100 trajectories, where one gives the other."""
-    per_step = {"cartpole": 1, "acrobot": -1, "mountaincar": -1}  # Acrobot's last step is free
+    """Check the expert's return against the length of its 100 trajectories."""
+    per_step = {
+        "cartpole": 1,
+        "acrobot": -1,
+        "mountaincar": -1,
+    }  # Acrobot's last step costs nothing
     expert = _references(printed)[_EXPERT]
     samples = printed.means("table6", "expert_samples")["100"]
     for env, reward in per_step.items():
@@ -165,14 +169,14 @@ def _trajectories(printed: Printed) -> Iterator[Contradiction]:
                 f"Table 2, Expert on {ENVIRONMENTS[env]}",
                 f"AER {value:g}",
                 f"{length:.2f} steps in each of 100 trajectories",
-                f"{samples[env]:,.0f} samples in Table 6; a step's reward is {reward}, so what is "
-                "learnt from is better than the expert that P is scaled by",
+                f"{samples[env]:,.0f} samples in Table 6 and a reward of {reward} per step: the "
+                "trajectories are better than the expert that scales P",
             )
 
 
 def _statement(printed: Printed, statement: Statement) -> Iterator[Contradiction]:
-    """A statement of the text, if the tables do not bear it out."""
-    found = statement.look(printed)
+    """Check a claim of the text against the tables."""
+    found = statement.evaluate(printed)
     if isinstance(found, pd.Series):
         holds = found.empty
         against = "; ".join(f"{_named(at)}: {round(value, 4):,.10g}" for at, value in found.items())
@@ -189,6 +193,6 @@ def _title(table: str) -> str:
 
 
 def _named(at: object) -> str:
-    """A cell's row and column, or one of them, in words."""
+    """Name a cell's row and column, or one of them."""
     keys = at if isinstance(at, tuple) else (at,)
     return ", ".join(ENVIRONMENTS.get(str(key), str(key)) for key in keys)

@@ -1,4 +1,4 @@
-"""What §5.1 and §5.2 say: policies compared, and samples needed."""
+"""The claims of §5.1 and §5.2: policies compared, and samples needed."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ STATEMENTS = (
         "§5.1",
         "π* is an optimal policy",
         lambda p: table1(p, "reward")[lambda r: r > r["π*"]],
-        why="nothing returns more than an optimal policy, unless episodes differ",
+        why="no policy returns more than an optimal one, unless the episodes differ",
     ),
     Statement(
         "§5.2.1",
@@ -53,7 +53,7 @@ STATEMENTS = (
         "§5.2.1",
         "on CartPole only ILPO and RIL reach 195",
         lambda p: p.means("table2").loc["cartpole", ["BC", "GAIL", "IUPE"]][lambda r: r >= 195],
-        why="BC does so, too",
+        why="BC reaches it too",
     ),
     Statement(
         "§5.2.1",
@@ -69,7 +69,7 @@ STATEMENTS = (
     ),
     Statement(
         "§5.2.1",
-        "on Acrobot only RIL gets to what is ideal, as the expert",
+        "on Acrobot only RIL is as good as the expert",
         lambda p: p.means("table2").loc["acrobot", ["BC", *IMITATING]][
             lambda r: r >= aer(2, "acrobot", "Expert")(p)
         ],
@@ -82,7 +82,7 @@ STATEMENTS = (
         "IUPE's P on Acrobot is 0.8",
         lambda p: printed_p(p, "acrobot", ["IUPE"]),
         "0.8",
-        "Table 2 prints another P, and its AER gives a third",
+        "Table 2 prints a different P, and its AER gives a third",
     ),
     Statement(
         "§5.2.1",
@@ -103,7 +103,7 @@ STATEMENTS = (
         "all IL methods reach P ≈ 0.06 on MountainCar",
         lambda p: printed_p(p, "mountaincar", IMITATING),
         "0.06",
-        "the mean of GAIL, ILPO and IUPE, as it holds for LunarLander; 0.06 is their sum",
+        "0.06 is the sum of GAIL, ILPO and IUPE; the claim for LunarLander is their mean",
     ),
     Statement(
         "§5.2.1",
@@ -126,7 +126,7 @@ STATEMENTS = (
     ),
     Statement(
         "§5.2.2",
-        "but for Acrobot DQN₂ needs fewer timesteps than the other RL methods",
+        "except on Acrobot, DQN₂ needs fewer timesteps than the other RL methods",
         lambda p: cells(
             steps(p).drop(index="acrobot")[REINFORCED],
             steps(p).drop(index="acrobot")[REINFORCED].lt(steps(p)["DQN₂"].drop("acrobot"), axis=0),
@@ -156,7 +156,7 @@ STATEMENTS = (
         "PPO needs 524,500 samples on Acrobot",
         lambda p: steps(p).loc["acrobot", "PPO"],
         "524500",
-        "524,500 is what PPO needs more than DQN₂ on MountainCar (Table 3)",
+        "524,500 is the difference of PPO and DQN₂ on MountainCar (Table 3)",
     ),
     Statement(
         "§5.2.2",
@@ -190,15 +190,15 @@ STATEMENTS = (
         "§5.2.2",
         "RIL reaches its maximum in all environments with fewer samples than RL methods",
         lambda p: cells(steps(p), steps(p).lt(steps(p)["RIL"], axis=0)),
-        why="Table 3 has fewer for these, of which DQN₂ reaches the goal, too",
+        why="Table 3 has fewer for these, and DQN₂ reaches the goal",
     ),
     Statement(
         "§5.2.2", "RIL reaches the goal of all environments", lambda p: unsolved(four(p, "RIL"))
     ),
     Statement(
         "Table 3",
-        "RIL's samples are those to its reward in Table 4, of 100 trajectories",
+        "RIL's samples lead to its return in Table 4, with 100 trajectories",
         lambda p: steps(p)["RIL"][lambda r: r < p.means("table6", "expert_samples")["100"]],
-        why="an iteration counts all samples of the expert: of 100 trajectories, more (Table 6)",
+        why="one iteration with 100 trajectories counts more expert samples (Table 6)",
     ),
 )

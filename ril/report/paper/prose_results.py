@@ -1,4 +1,4 @@
-"""What §5.3 to §7 say: returns, and what was varied."""
+"""The claims of §5.3 to §7: returns and ablations."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ STATEMENTS = (
     ),
     Statement(
         "§5.3",
-        "but for CartPole DQN₁ is closer to the random policy than to the expert",
+        "except on CartPole, DQN₁ is closer to the random policy than to the expert",
         lambda p: p_of(p, "table4")["DQN₁"][HARD][lambda r: r > 0.5],
         why="P above 0.5 is closer to the expert",
     ),
@@ -62,7 +62,7 @@ STATEMENTS = (
     ),
     Statement(
         "§5.3",
-        "but for Acrobot PPO is worse than ACKTR and DQN₂",
+        "except on Acrobot, PPO is worse than ACKTR and DQN₂",
         lambda p: cells(
             four(p, ["ACKTR", "DQN₂"]).drop("acrobot"),
             four(p, ["ACKTR", "DQN₂"])
@@ -90,7 +90,7 @@ STATEMENTS = (
     ),
     Statement(
         "§5.3",
-        "on LunarLander the IL methods but BC are closer to the random policy",
+        "on LunarLander the IL methods except BC are closer to the random policy",
         lambda p: p_of(p, "table4").loc["lunarlander", IMITATING][lambda r: r > 0.5],
         why="P above 0.5 is closer to the expert",
     ),
@@ -114,7 +114,7 @@ STATEMENTS = (
     ),
     Statement(
         "§5.3",
-        "RL methods are not above RIL but for DQN₂ on LunarLander",
+        "no RL method is above RIL, except DQN₂ on LunarLander",
         lambda p: cells(
             four(p, REINFORCED), four(p, REINFORCED).gt(four(p, "RIL")["RIL"], axis=0)
         ).drop(("lunarlander", "DQN₂"), errors="ignore"),
@@ -123,7 +123,7 @@ STATEMENTS = (
     Statement(
         "§5.3",
         "RIL's ± on LunarLander is 19.34",
-        lambda p: p.spreads("table4").loc["lunarlander", "RIL"],
+        lambda p: p.stds("table4").loc["lunarlander", "RIL"],
         "19.34",
     ),
     Statement(
@@ -138,7 +138,7 @@ STATEMENTS = (
     Statement(
         "§5.3",
         "RIL's average ± is smaller than every method's but BC's",
-        lambda p: p.spreads("table4").drop(columns="BC").mean()[lambda r: r < r["RIL"]],
+        lambda p: p.stds("table4").drop(columns="BC").mean()[lambda r: r < r["RIL"]],
     ),
     Statement("§5.3", "RIL's average ± is ≈ 6.58", lambda p: deviation(p, "RIL"), "6.58"),
     Statement("§5.3", "DQN₂'s average ± is ≈ 23", lambda p: deviation(p, "DQN₂"), "23"),
@@ -179,7 +179,7 @@ STATEMENTS = (
         lambda p: p.means("table6").loc["mountaincar"][
             lambda r: (
                 (r - aer(2, "mountaincar", "RIL")(p)).abs()
-                > p.spreads("table2").loc["mountaincar", "RIL"] + 0.015
+                > p.stds("table2").loc["mountaincar", "RIL"] + 0.015
             )
         ],
         why="it is just outside",
@@ -190,7 +190,7 @@ STATEMENTS = (
         lambda p: p.means("table6").loc["mountaincar"][
             lambda r: (
                 (r - aer(4, "mountaincar", "RIL")(p)).abs()
-                > p.spreads("table4").loc["mountaincar", "RIL"] + 0.015
+                > p.stds("table4").loc["mountaincar", "RIL"] + 0.015
             )
         ],
     ),
@@ -198,7 +198,7 @@ STATEMENTS = (
         "§6.3",
         "on LunarLander RIL deteriorates as the expert's samples increase",
         lambda p: p.means("table6").loc["lunarlander"][lambda r: r > r["1"]],
-        why="from 25 trajectories on it gets better, and in the end better than with one",
+        why="from 25 trajectories on it improves, and exceeds the result of one in the end",
     ),
     Statement(
         "§6.4.1",
@@ -230,7 +230,7 @@ STATEMENTS = (
     Statement(
         "§6.4.1",
         "that is lower than all RL methods' in Table 4",
-        lambda p: p.spreads("table4").loc["mountaincar", REINFORCED][lambda r: r <= 5.08],
+        lambda p: p.stds("table4").loc["mountaincar", REINFORCED][lambda r: r <= 5.08],
     ),
     Statement(
         "§6.4.1",
@@ -252,7 +252,7 @@ STATEMENTS = (
         "n = 112 is one of four values",
         lambda p: float(p.means("table8").columns[1]),
         "112",
-        "Table 8 has another n at its place",
+        "Table 8 has another n in its place",
     ),
     Statement(
         "§6.4.2",
@@ -277,13 +277,13 @@ STATEMENTS = (
         "§7",
         "RIL degrades gradually with the expert",
         lambda p: rising(by_expert(p), ["acrobot", "mountaincar"]),
-        why="with a worse expert it is better",
+        why="these rise although the expert's return falls",
     ),
     Statement(
         "§7",
         "RIL decreases only 10.91 points on Acrobot as the expert decays",
         lambda p: -by_expert(p).loc["acrobot"].dropna().iloc[[0, -1]].diff().iloc[1],
         "10.91",
-        "10.91 is MountainCar's, whose expert decays by 44 points; on Acrobot it decays by 165",
+        "10.91 is the decrease on MountainCar, whose expert decays by 44 points (Acrobot: 165)",
     ),
 )

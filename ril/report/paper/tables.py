@@ -1,4 +1,4 @@
-"""The paper's own tables from `paper.yaml`: every number, and the setting that it is of."""
+"""The paper's tables, read from `tables.yaml`: every number with its setting."""
 
 from __future__ import annotations
 
@@ -18,16 +18,14 @@ ENVIRONMENTS = {
     "mountaincar": "MountainCar",
     "lunarlander": "LunarLander",
 }
-#: `method=` by the paper's names, where these are not ours in capitals.
-_METHODS = {"DQN₁": "dqn", "DQN₂": "dqn_prioritized", "RIL*": "ril_sequential"}
-#: What is measured, in words.
+#: The names of the measured quantities in the tables.
 QUANTITIES = {
     "aer": "AER",
     "performance": "P",
     "samples_to_best": "to the highest return",
     "samples_to_solved": "to solved",
-    "all_samples_to_solved": "to solved, random steps counted too",
-    "expert_samples": "samples of the expert",
+    "all_samples_to_solved": "to solved, with random steps",
+    "expert_samples": "expert samples",
     "reward": "return",
     "divergence": "KL divergence",
     "greedy_divergence": "KL divergence of greedy actions",
@@ -38,15 +36,15 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Setting:
-    """What a number was measured on; None where it does not apply or is not said.
+    """The setting of a number; None where a field does not apply or the paper does not give it.
 
     Attributes:
-        method: by the paper's name, "DQN₁".
-        env: `env=` by ours; "average" for the mean over the four.
-        trajectories: of the expert, learnt from.
-        k: eq. 2's slope.
-        n: eq. 2's epochs.
-        expert_return: the expert's level; None is the usual expert.
+        method: the paper's name, "DQN₁"; ril's name for a method beyond the paper.
+        env: the value of `env=`; "average" for the mean over the four.
+        trajectories: expert trajectories trained on.
+        k: slope in equation 2.
+        n: epochs in equation 2.
+        expert_return: return of a sub-optimal expert; None for the usual expert.
     """
 
     method: str
@@ -58,8 +56,14 @@ class Setting:
 
     @property
     def method_key(self) -> str:
-        """`method=` by our name."""
-        return _METHODS.get(self.method, self.method.lower())
+        """The method's name in the rows, the value of `method=`."""
+        name: str = _content()["methods"].get(self.method, self.method)
+        return name
+
+
+def main_setting(method: str, env: str) -> Setting:
+    """Return a method's setting in the main experiments: one trajectory, k = 2, n = 150 (§5.2)."""
+    return Setting(method, env, trajectories=1, k=2, n=150)
 
 
 @dataclass(frozen=True)
@@ -69,32 +73,32 @@ class Cell:
     Attributes:
         table: "table1" to "table9".
         quantity: a key of `QUANTITIES`.
-        setting: what it was measured on.
+        setting: of the number.
         mean: the paper's number; None where it reports none.
-        spread: the paper's ±; None where it gives none.
+        std: the paper's ±; None where it gives none.
     """
 
     table: str
     quantity: str
     setting: Setting
     mean: float | None
-    spread: float | None
+    std: float | None
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table as it is printed: labels, and a cell (or nothing) at each crossing.
+    """A table as printed: labels, and a cell or nothing for each row and column.
 
     Attributes:
         name: "table1" to "table9".
         number: 1 to 9.
-        title: what it is about.
+        title: in a few words.
         section: of the paper.
-        head: what the labels of the rows are, one or two of them.
-        columns: labels across.
-        rows: labels down, each with its cells across.
-        seeds: how many runs each number is a mean of.
-        budget: what each method is given, by its paper's name and a column of `results.csv`.
+        head: heads of the one or two columns that label the rows.
+        columns: heads of the columns of numbers.
+        rows: labels of each row, and its cells.
+        seeds: number of runs that each number averages.
+        budget: training budget by the paper's name of a method and by column of `results.csv`.
     """
 
     name: str
@@ -108,7 +112,7 @@ class Table:
     budget: dict[str, dict[str, int]]
 
     def cells(self) -> Iterator[Cell]:
-        """All cells, row by row."""
+        """Iterate over all cells, row by row."""
         return (cell for _, cells in self.rows for cell in cells if cell is not None)
 
 
@@ -119,41 +123,41 @@ def _content() -> dict[str, dict[str, Any]]:
     return content
 
 
-#: The paper's tables by name.
+#: Names of the paper's tables.
 TABLES = tuple(f"table{number}" for number in range(1, 10))
 
 
 @cache
 def solved_return(env: str) -> float:
-    """Return at which an environment counts as solved (§4.1)."""
+    """Return the mean return from which an environment counts as solved (§4.1)."""
     text = (config_folder() / "env" / f"{env}.yaml").read_text(encoding="utf-8")
     return float(yaml.safe_load(text)["solved_return"])
 
 
 @cache
 def known_methods() -> frozenset[str]:
-    """`method=` of all methods that some table is about."""
-    return frozenset(cell.setting.method_key for name in TABLES for cell in table(name).cells())
+    """Return the names of the paper's methods in the rows."""
+    return frozenset(_content()["methods"].values())
 
 
 @cache
 def table(name: str, beyond: tuple[str, ...] = ()) -> Table:
-    """One table of the paper.
+    """Return one table of the paper.
 
     Args:
         name: "table1" to "table9".
-        beyond: methods that the paper does not have, each beside RIL where methods are compared.
+        beyond: methods that are not in the paper, added next to RIL where methods are compared.
     """
     content = _content()[name]
     across = content["columns"]
     down: list[str] = content["rows"]
     placed = {
-        (tuple(at[axis] for axis in down), at[across]): _cell(name, content["setting"], at, numbers)
+        (tuple(at[axis] for axis in down), at[across]): _cell(name, content, at, numbers)
         for at, numbers in _numbers(content, beyond)
     }
     rows = list(dict.fromkeys(row for row, _ in placed))
     firsts = list(dict.fromkeys(row[0] for row in rows))
-    rows.sort(key=lambda row: firsts.index(row[0]))  # all of a method, or environment, together
+    rows.sort(key=lambda row: firsts.index(row[0]))  # rows with the same first label adjoin
     columns = list(dict.fromkeys(column for _, column in placed))
     return Table(
         name=name,
@@ -179,14 +183,14 @@ _HEADS = {
     "env": "Environment",
     "quantity": "",
     "trajectories": "Trajectories",
-    "expert_return": "Expert's return",
+    "expert_return": "Expert return",
 }
 
 
 def _numbers(
     content: dict[str, Any], beyond: tuple[str, ...]
 ) -> Iterator[tuple[dict[str, Any], list[float]]]:
-    """Where each number stands, by axis, and its mean and spread; those that only we have, too."""
+    """Yield each number's keys by axis, and its mean and ±; nothing for quantities of our own."""
 
     def below(node: Any, axes: list[str]) -> Iterator[tuple[dict[str, Any], list[float]]]:
         if not axes:
@@ -207,16 +211,18 @@ def _numbers(
                 yield place, []
 
 
-def _cell(name: str, shared: dict[str, Any], at: dict[str, Any], numbers: list[float]) -> Cell:
-    setting = shared | {axis: key for axis, key in at.items() if axis != "quantity"}
+def _cell(name: str, content: dict[str, Any], at: dict[str, Any], numbers: list[float]) -> Cell:
+    setting = content["setting"] | {axis: key for axis, key in at.items() if axis != "quantity"}
+    if setting["method"] in content.get("rewards_alone", []):
+        setting["trajectories"] = None
     if setting.get("expert_return") == _usual_expert(setting["env"]):
         setting["expert_return"] = None
-    mean, spread = (*numbers, None, None)[:2]
-    return Cell(name, at["quantity"], Setting(**setting), mean, spread)
+    mean, std = (*numbers, None, None)[:2]
+    return Cell(name, at["quantity"], Setting(**setting), mean, std)
 
 
 def _usual_expert(env: str) -> float | None:
-    """Return of the expert of the main experiments, as Table 9 has it."""
+    """Return the expert's return in the main experiments, as printed in Table 9."""
     by_return = _content()["table9"]["values"]["aer"].get(env)
     return next(iter(by_return)) if by_return else None
 

@@ -1,8 +1,8 @@
 "use strict";
 const all = (selector, within = document) => [...within.querySelectorAll(selector)];
 
-// Sorting: a head's button sorts up, down, and back. Rows that belong together stay together:
-// a table keeps its groups (bodies) whole, or else its order of groups and sorts within each.
+// Sorting: the button in a column head sorts ascending, descending, and back to the paper's order.
+// Grouped rows stay together: a table sorts whole groups (bodies), or rows within each group.
 function value(row, column) {
   const cell = row.cells[column];
   const text = cell.dataset.value ?? (cell.tagName === "TD" && !cell.matches(".label") ? "" : cell.textContent.trim());
@@ -11,7 +11,7 @@ function value(row, column) {
 }
 
 function compare(a, b, direction) {
-  if (a === null || b === null) return (a === null) - (b === null); // what is missing is last
+  if (a === null || b === null) return (a === null) - (b === null); // missing values come last
   if (typeof a === "number" && typeof b === "number") return direction * (a - b);
   return direction * String(a).localeCompare(String(b), "en", { numeric: true });
 }
@@ -34,11 +34,11 @@ function sort(table, head, column) {
   const whole = table.dataset.keep === "groups" || (table.dataset.keep === "rows" && column === 0);
   reorder(table, bodies, (body) => value(body.rows[0], column), whole ? direction : 0);
   for (const body of bodies) reorder(body, [...body.rows], (row) => value(row, column), whole ? 0 : direction);
-  mark(table);
+  markRepeated(table);
 }
 
-// A label that repeats the one above it is there for those who hear the table.
-function mark(table) {
+// Hide a label that repeats the one above it from sight, but not from screen readers.
+function markRepeated(table) {
   if (!table.matches(".results")) return;
   for (const body of table.tBodies) {
     [...body.rows].forEach((row, index) => row.cells[0].classList.toggle("again", index > 0));
@@ -56,10 +56,10 @@ for (const table of all("table.sortable")) {
     head.setAttribute("aria-sort", "none");
     button.addEventListener("click", () => sort(table, head, column));
   });
-  mark(table);
+  markRepeated(table);
 }
 
-// Filters: a choice hides the rows whose data say otherwise; a text, those without it.
+// Filters: a selection hides rows with other data; a search hides rows without the text.
 function filter(form) {
   const rows = all("tbody tr", document.getElementById(form.dataset.for));
   const chosen = [...new FormData(form)].filter(([, wanted]) => wanted);
@@ -87,23 +87,23 @@ for (const link of all("a[data-select]")) {
   });
 }
 
-// Copying; where the browser does not let us, the command is selected for the reader to copy.
+// Copy a command; select it where the browser denies access to the clipboard.
 document.addEventListener("click", async (event) => {
   const button = event.target.closest("button.copy");
   if (!button) return;
   const code = button.parentElement.querySelector("code");
-  let said = "copied";
+  let outcome = "copied";
   try {
     await navigator.clipboard.writeText(code.textContent);
   } catch {
     getSelection().selectAllChildren(code);
-    said = "selected";
+    outcome = "selected";
   }
-  button.textContent = said;
+  button.textContent = outcome;
   setTimeout(() => { button.textContent = "copy"; }, 1500);
 });
 
-// What a link points at is opened, and on paper all but the cells' commands, which the notes have.
+// Open the target of a link; in print open everything except the commands in cells.
 function reveal() {
   const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
   if (target?.tagName === "DETAILS") target.open = true;
@@ -112,7 +112,7 @@ addEventListener("hashchange", reveal);
 addEventListener("beforeprint", () => { for (const details of all("details:not(td *)")) details.open = true; });
 reveal();
 
-// The contents list says where the reader is.
+// Mark the current section in the contents.
 const entries = new Map(all(".contents a").map((link) => [link.hash.slice(1), link]));
 const seen = new IntersectionObserver((changes) => {
   for (const { target, isIntersecting } of changes) {

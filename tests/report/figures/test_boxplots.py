@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ril.report.figures.boxplots import boxplots
-from ril.report.figures.style import INK, Reference, look
+from ril.report.figures.style import INK, Reference, method_style
 from ril.report.paper.tables import ENVIRONMENTS
 
 OURS = {
@@ -48,7 +48,7 @@ def test_the_line_in_a_box_is_the_median(figure: Figure, method: str, median: fl
         if line.get_linewidth() == 2 and np.mean(line.get_ydata()) == row
     ]
     assert list(found.get_xdata()) == [median, median]
-    assert found.get_color() == look(method).colour
+    assert found.get_color() == method_style(method).color
 
 
 def test_a_box_spans_the_quartiles(figure: Figure) -> None:
@@ -62,7 +62,7 @@ def test_every_seed_is_a_dot_in_its_row(figure: Figure) -> None:
     np.testing.assert_array_equal(np.round(dots[:, 1]), [0, 0, 0, 2, 2, 2, 2])
 
 
-def test_the_papers_mean_and_spread_are_in_its_row(figure: Figure) -> None:
+def test_the_papers_mean_and_std_are_in_its_row(figure: Figure) -> None:
     [(mean, bars)] = [
         (container.lines[0], container.lines[2][0])
         for container in panel(figure, "Acrobot").containers
@@ -76,7 +76,7 @@ def test_the_number_of_seeds_is_in_each_row(figure: Figure) -> None:
     assert texts(panel(figure, "Acrobot")) == ["3", "not run", "4", "seeds"]
 
 
-def test_what_is_below_the_scale_is_named(figure: Figure) -> None:
+def test_a_value_below_the_scale_is_named(figure: Figure) -> None:
     lander = panel(figure, "LunarLander")
     assert texts(lander) == [
         "◂ seeds to −900",
@@ -90,7 +90,7 @@ def test_what_is_below_the_scale_is_named(figure: Figure) -> None:
     assert -300 < low < -260 < 200 < high
 
 
-def test_the_scale_is_of_what_is_there(figure: Figure) -> None:
+def test_the_scale_fits_the_drawn_values(figure: Figure) -> None:
     low, high = panel(figure, "Acrobot").get_xlim()
     assert -112 < low < -110 < -75 < high < -73
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ril.report.figures.statistics import aggregates, improvement
-from ril.report.figures.style import INK, look
+from ril.report.figures.style import INK, method_style
 from ril.report.statistics import Aggregate
 
 BY_METHOD = {
@@ -20,10 +20,10 @@ IMPROVEMENT = improvement(BETTER)
 
 
 def rows(axes: Axes) -> list[tuple[float, float, float]]:
-    """Each row's mark and the ends of its bar, from the top."""
+    """Each row's marker and the ends of its bar, from the top."""
     marks = [line.get_xdata()[0] for line in axes.lines if line.get_marker() != "None"]
     bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axes.patches]
-    return [(mark, *bar) for mark, bar in zip(marks, bars, strict=True)]
+    return [(marker, *bar) for marker, bar in zip(marks, bars, strict=True)]
 
 
 @pytest.mark.parametrize(
@@ -43,14 +43,14 @@ def test_even_odds_are_a_line() -> None:
     assert [0.5, 0.5] in lines
 
 
-def test_a_method_has_its_own_mark() -> None:
+def test_a_method_has_its_own_marker() -> None:
     marks = [line for line in IMPROVEMENT.axes[0].lines if line.get_marker() != "None"]
-    assert [(mark.get_color(), mark.get_marker()) for mark in marks] == [
-        (look(method).colour, look(method).marker) for method in BETTER
+    assert [(marker.get_color(), marker.get_marker()) for marker in marks] == [
+        (method_style(method).color, method_style(method).marker) for method in BETTER
     ]
 
 
-def test_no_bar_is_cut_off() -> None:
+def test_no_bar_touches_the_frame() -> None:
     for axes in AGGREGATES.axes:
         low, high = axes.get_xlim()
         assert all(
@@ -58,7 +58,7 @@ def test_no_bar_is_cut_off() -> None:
         )
 
 
-def test_a_method_without_an_interval_is_a_mark_alone() -> None:
+def test_a_method_without_an_interval_is_a_marker_alone() -> None:
     sure = improvement({"BC": (0.7, np.nan, np.nan)})
     sure.draw_without_rendering()
     np.testing.assert_array_equal(rows(sure.axes[0]), [(0.7, np.nan, np.nan)])

@@ -8,17 +8,17 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from ril.report.figures.curves import learning_curves, stepwise
-from ril.report.figures.style import INK, Reference, look
+from ril.report.figures.style import INK, Reference, method_style
 from ril.report.paper.tables import ENVIRONMENTS
 
 REFERENCES = {env: Reference(-200.0, -100.0, -110.0) for env in ENVIRONMENTS}
 
 
-def curve(looks: dict[int, list[tuple[int, float]]]) -> pd.DataFrame:
-    """Looks of each seed: samples and return."""
+def curve(evaluations: dict[int, list[tuple[int, float]]]) -> pd.DataFrame:
+    """Evaluations of each seed: samples and return."""
     rows = [
         (seed, epoch, samples, aer)
-        for seed, seen in looks.items()
+        for seed, seen in evaluations.items()
         for epoch, (samples, aer) in enumerate(seen)
     ]
     return pd.DataFrame(rows, columns=["seed", "epoch", "samples", "aer"])
@@ -26,12 +26,12 @@ def curve(looks: dict[int, list[tuple[int, float]]]) -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def noisy() -> pd.DataFrame:
-    """Three seeds that were looked at a different number of times at different samples."""
+    """Three seeds with different numbers of evaluations, at different samples."""
     rng = np.random.default_rng(0)
     return curve(
         {
-            seed: [(int(at), rng.normal()) for at in np.cumsum(rng.integers(1, 99, looks))]
-            for seed, looks in enumerate((100, 60, 7))
+            seed: [(int(at), rng.normal()) for at in np.cumsum(rng.integers(1, 99, evaluations))]
+            for seed, evaluations in enumerate((100, 60, 7))
         }
     )
 
@@ -52,14 +52,16 @@ def lines(figure: Figure, label: str) -> list[np.ndarray]:
     return [np.asarray(line.get_xydata()) for line in found]
 
 
-def test_at_each_sample_stands_the_last_look_before(noisy: pd.DataFrame) -> None:
+def test_a_grid_point_has_the_latest_evaluation(noisy: pd.DataFrame) -> None:
     for samples, row in stepwise(noisy).iterrows():
         for seed, value in row.items():
             seen = noisy[(noisy["seed"] == seed) & (noisy["samples"] <= samples)]
             assert value == seen["aer"].iloc[-1]
 
 
-def test_the_grid_is_from_where_all_seeds_were_seen_to_the_last_look(noisy: pd.DataFrame) -> None:
+def test_the_grid_spans_from_where_all_seeds_are_evaluated_to_the_last_evaluation(
+    noisy: pd.DataFrame,
+) -> None:
     grid = stepwise(noisy).index
     firsts = noisy.groupby("seed")["samples"].min()
     assert firsts.max() <= grid[0] < 1.1 * firsts.max()
@@ -71,7 +73,7 @@ def test_the_grid_is_even_on_a_log_axis(noisy: pd.DataFrame) -> None:
     np.testing.assert_allclose(steps, steps[0])
 
 
-def test_of_two_looks_at_one_number_of_samples_the_later_counts() -> None:
+def test_of_two_evaluations_at_one_number_of_samples_the_later_counts() -> None:
     assert stepwise(curve({0: [(5, -3.0), (9, -1.0), (9, -2.0)]}))[0].iloc[-1] == -2
 
 
@@ -89,17 +91,17 @@ def test_the_best_so_far_never_falls() -> None:
 
 def test_a_band_holds_the_mean_and_no_more_than_the_seeds(figure: Figure) -> None:
     [line] = lines(figure, "RIL")
-    colour = look("RIL").colour
+    color = method_style("RIL").color
     [band] = [
         band.get_paths()[0].vertices
         for band in figure.axes[1].collections
-        if same_color(band.get_facecolor()[0][:3], colour)
+        if same_color(band.get_facecolor()[0][:3], color)
     ]
     at_end = band[band[:, 0] == line[-1, 0], 1]
     assert (at_end.min(), at_end.max()) == (-160, -120)  # of two seeds, these are the interval
 
 
-def test_a_method_looked_at_once_is_a_mark(figure: Figure) -> None:
+def test_a_method_evaluated_once_is_a_marker(figure: Figure) -> None:
     [line] = lines(figure, "IUPE")
     np.testing.assert_array_equal(line, [[50, -160]])
 

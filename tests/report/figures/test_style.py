@@ -10,15 +10,15 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from ril.report.figures.style import INK, as_svg, house_style, look, save
+from ril.report.figures.style import INK, as_svg, house_style, method_style, save
 
 METHODS = ("DQN₁", "DQN₂", "PPO", "ACKTR", "BC", "GAIL", "ILPO", "IUPE", "RIL", "RIL*")
 UNKNOWN = ("ril_consistent", "another", "one", "more", "of these")
 
 
-def luminance(colour: str) -> float:
+def luminance(color: str) -> float:
     """As WCAG 2 has it."""
-    value = np.array(to_rgb(colour))
+    value = np.array(to_rgb(color))
     linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
@@ -52,24 +52,27 @@ def root(svg: str) -> ElementTree.Element:
 
 @pytest.mark.parametrize("background", ["#ffffff", "#16181d"])
 @pytest.mark.parametrize("method", METHODS + UNKNOWN)
-def test_a_colour_is_legible_on_paper_and_on_a_dark_page(method: str, background: str) -> None:
-    assert contrast(look(method).colour, background) > 2.6
+def test_a_color_is_legible_on_paper_and_on_a_dark_page(method: str, background: str) -> None:
+    assert contrast(method_style(method).color, background) > 2.6
 
 
 @pytest.mark.parametrize(("one", "other"), list(itertools.combinations(METHODS, 2)))
-def test_two_methods_differ_in_colour_and_without_it(one: str, other: str) -> None:
-    assert np.ptp([to_rgb(look(one).colour), to_rgb(look(other).colour)], axis=0).max() > 0.1
-    assert look(one).marker != look(other).marker
+def test_two_methods_differ_in_color_and_without_it(one: str, other: str) -> None:
+    assert (
+        np.ptp([to_rgb(method_style(one).color), to_rgb(method_style(other).color)], axis=0).max()
+        > 0.1
+    )
+    assert method_style(one).marker != method_style(other).marker
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_an_unknown_method_is_not_taken_for_a_known_one(method: str) -> None:
-    assert all(look(name).colour != look(method).colour for name in UNKNOWN)
-    assert all(look(name).marker != look(method).marker for name in UNKNOWN)
+def test_an_unknown_method_never_resembles_a_known_one(method: str) -> None:
+    assert all(method_style(name).color != method_style(method).color for name in UNKNOWN)
+    assert all(method_style(name).marker != method_style(method).marker for name in UNKNOWN)
 
 
-def test_an_unknown_methods_look_is_always_the_same() -> None:
-    assert look("ril_consistent").colour == "#7d7a2e"  # of Python's own hash it would vary
+def test_an_unknown_methods_style_is_always_the_same() -> None:
+    assert method_style("ril_consistent").color == "#7d7a2e"  # of Python's own hash it would vary
 
 
 def test_the_style_ends_with_its_block() -> None:
@@ -141,7 +144,7 @@ def test_inline_figures_of_one_page_share_no_ids(figure: Figure) -> None:
     assert len(ids) == len(set(ids)) > 0
 
 
-def test_whatever_an_inline_figure_refers_to_is_in_it(root: ElementTree.Element) -> None:
+def test_an_inline_figure_refers_only_to_its_own_parts(root: ElementTree.Element) -> None:
     ids = {element.get("id") for element in root.iter()}
     values = [value for element in root.iter() for value in element.attrib.values()]
     referred = [value[1:] for value in values if value.startswith("#")]
