@@ -27,19 +27,27 @@ from ril.cli.run import main
 from ril.config.schema import Config
 from ril.environments import Environment, load_environment
 from ril.experts.collection import save
+from ril.methods.base import Method
+from ril.methods.registry import spec
 from ril.run.prepare import prepare
 from ril.task import Task
 
 torch.set_num_threads(1)
 settings.register_profile("ril", deadline=None, derandomize=True, max_examples=50)
-settings.load_profile("ril")
+settings.register_profile("quick", settings.get_profile("ril"), max_examples=5)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Draw fewer examples in `make quick`."""
+    settings.load_profile("quick" if config.getoption("markexpr") == "quick" else "ril")
+
 
 Compose = Callable[..., Config]
 
 
 @pytest.fixture(scope="session")
 def compose() -> Compose:
-    """The checked configuration that a command line gives, a new one at each call."""
+    """The checked configuration of a command line, a new one at each call."""
     return lambda *overrides: from_hydra(composed(*overrides))
 
 
@@ -89,10 +97,23 @@ def quick(compose: Compose, demonstration_files: dict[str, Path]) -> Compose:
 
 @pytest.fixture(scope="session")
 def make_task() -> Callable[[Config], Task]:
-    """What a method learns from, for a configuration that names its demonstrations."""
+    """What a method is given, for a configuration that names its demonstrations."""
 
     def made(config: Config) -> Task:
         return prepare(config).task()
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def make_method(quick: Compose, make_task: Callable[[Config], Task]) -> Callable[..., Method]:
+    """A new method on the small run's configuration, with overrides."""
+
+    def made(name: str, *overrides: str) -> Method:
+        config = quick(f"method={name}", *overrides)
+        build = spec(name).build
+        assert build is not None
+        return build(config.method, make_task(config))
 
     return made
 
@@ -106,12 +127,12 @@ def silence() -> Silence:
 def here(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> Callable[..., Ended]:
-    """`ril-run` in this process, which is as real and faster."""
+    """Run `ril-run` in this process, which is faster than a process of its own."""
 
     def ran(*arguments: str) -> Ended:
         monkeypatch.chdir(tmp_path)
         monkeypatch.setattr(sys, "argv", ["ril-run", *arguments])
-        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # is set by the command, and put back after
+        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # the command sets it; put back after
         GlobalHydra.instance().clear()
         try:
             main()

@@ -59,10 +59,10 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
                     "twice at the same time"
                 )
             commit = write_start(claim.folder, cell)
+            stop.immediate = method is None  # measuring a reference can be repeated
             display.started(config, claim.folder, 0 if method is None else method.epochs)
             outcome: Outcome
             if method is None:
-                stop.immediate = True
                 outcome = measure_reference(cell)
             else:
                 outcome = train_and_score(Run(cell, method, claim, stop), display)

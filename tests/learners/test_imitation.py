@@ -35,18 +35,24 @@ def make(quick: Any, make_task: Callable[[Config], Task]) -> Make:
     return made
 
 
+def labels_of(learner: SelfSupervisedImitation) -> np.ndarray:
+    """(S, M) pseudo-labels after lines 14, 7 and 8."""
+    learner.train(learner.sample_dataset(1.0))
+    return learner.infer_actions().numpy()
+
+
 def probabilities(learner: SelfSupervisedImitation) -> np.ndarray:
     """(S, M, |A|) what M_θ makes of the expert's transitions."""
     count = len(learner.task.seeds)
     states = learner.expert_states.repeat(count, 1, 1)
-    following = learner.expert_next.repeat(count, 1, 1)
+    following = learner._expert_next.repeat(count, 1, 1)
     with torch.no_grad():
         return learner.inverse_dynamics(states, following).softmax(dim=-1).numpy()
 
 
 def test_labels_are_the_likeliest_actions(make: Make) -> None:
     learner = make("method.inverse_dynamics.labels=argmax")
-    _, labels = learner.train(1.0)
+    labels = labels_of(learner)
     np.testing.assert_array_equal(labels, probabilities(learner).argmax(axis=-1))
 
 
@@ -54,7 +60,7 @@ def test_sampled_labels_invert_the_distribution_function(make: Make) -> None:
     learner = make("method.inverse_dynamics.labels=sample")
     draws = Streams(learner.task.seeds, "labels")
     for _ in range(2):  # new numbers each time
-        _, labels = learner.train(1.0)
+        labels = labels_of(learner)
         chances, uniform = probabilities(learner), draws.uniform(len(learner.expert_states))
         expected = uniform >= chances[:, :, 0]  # of two actions, the second
         assert not (np.abs(uniform - chances[:, :, 0]) < 1e-6).any()  # nothing for rounding
@@ -67,19 +73,19 @@ def alike(make: Make) -> SelfSupervisedImitation:
     """An expert that was in the same place each time, so that all labels have the same chances."""
     learner = make("method.inverse_dynamics.labels=sample", "seeds=3")
     learner.expert_states = learner.expert_states[:1].repeat(20_000, 1)
-    learner.expert_next = learner.expert_next[:1].repeat(20_000, 1)
+    learner._expert_next = learner._expert_next[:1].repeat(20_000, 1)
     return learner
 
 
 def test_sampled_labels_are_as_frequent_as_the_softmax_says(alike: Any) -> None:
-    _, labels = alike.train(1.0)
+    labels = labels_of(alike)
     expected = probabilities(alike)[:, 0, 1]
     assert ((expected > 0.1) & (expected < 0.9)).all()
     np.testing.assert_allclose(labels.mean(axis=1), expected, atol=0.015)  # 4 deviations
 
 
 def test_each_transition_of_each_seed_has_a_draw_of_its_own(alike: Any) -> None:
-    _, labels = alike.train(1.0)
+    labels = labels_of(alike)
     share = labels.mean(axis=1)
     for seed in range(3):
         # Were draws shared, neighbours or seeds would agree more often than by chance.
@@ -98,19 +104,18 @@ def test_chunks_do_not_change_labels(
 ) -> None:
     whole, parts = (make(f"method.inverse_dynamics.labels={kind}") for _ in range(2))
     assert len(whole.expert_states) > 3 * 7
-    _, expected = whole.train(1.0)
+    expected = labels_of(whole)
     monkeypatch.setattr(module, "_CHUNK", chunk)
-    _, found = parts.train(1.0)
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(labels_of(parts), expected)
 
 
 def test_chunks_do_not_change_the_exploration_ratio(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, parts = (make("method.exploration.epsilon=null") for _ in range(2))
-    expected = whole.look_at_expert(None)
+    expected = whole.epsilon(None)
     monkeypatch.setattr(module, "_CHUNK", 7)
-    np.testing.assert_array_equal(parts.look_at_expert(None), expected)
+    np.testing.assert_array_equal(parts.epsilon(None), expected)
     assert (expected > 0).all()
 
 
@@ -125,17 +130,17 @@ def test_no_chunk_is_larger_than_asked(make: Make, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(module, "_CHUNK", 17)  # one more than a minibatch has
     monkeypatch.setattr(Network, "__call__", counted)
-    for work in (lambda: learner.train(1.0), lambda: learner.look_at_expert(None)):
+    for work in (lambda: labels_of(learner), lambda: learner.epsilon(None)):
         rows.clear()
         work()
         assert max(rows) == 17
 
 
-def test_a_goal_that_says_nothing_is_refused(make: Make) -> None:
-    with pytest.raises(UserError, match=r"env\.goal: .*minimum_return"):
+def test_an_environment_without_a_goal_is_refused(make: Make) -> None:
+    with pytest.raises(UserError, match=r"^env\.goal: .*minimum_return"):
         make("env.goal.minimum_return=null")
 
 
 def test_states_alone_have_no_change_to_standardise(make: Make) -> None:
-    with pytest.raises(UserError, match=r"standardise=change: inputs=states have no change"):
+    with pytest.raises(UserError, match=r"^method\.inverse_dynamics\.standardise=change: .*inputs=states"):
         make("method.inverse_dynamics.inputs=states")

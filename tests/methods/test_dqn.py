@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from ril.config.schema import Config
+from ril.environments import Environment
 from ril.methods.base import Progress
 from ril.methods.dqn import DQN
-from ril.task import Task
 from ril.vectorized.evaluation import Evaluation
 from ril.vectorized.networks import MLP, Dueling
 
@@ -20,12 +19,8 @@ NEVER_LEARNS = "method.q_learning.learning_starts=9999"
 
 
 @pytest.fixture(scope="module")
-def make(quick: Any, make_task: Callable[[Config], Task]) -> Make:
-    def made(*overrides: str) -> DQN:
-        config = quick("method=dqn", *overrides)
-        return DQN(config.method, make_task(config))
-
-    return made
+def make(make_method: Callable[..., Any]) -> Make:
+    return lambda *overrides: make_method("dqn", *overrides)
 
 
 def epsilons(progress: list[Progress]) -> np.ndarray:
@@ -35,7 +30,7 @@ def epsilons(progress: list[Progress]) -> np.ndarray:
 def test_epsilon_is_one_until_learning_starts_and_then_on_its_line(make: Make) -> None:
     line = ("initial_epsilon=0.9", "final_epsilon=0.1", "steps=40")
     found = epsilons(list(make(*(f"method.exploration.{each}" for each in line)).train()))
-    # One step in each epoch: the first has taken none before it.
+    # One step in each epoch: no step comes before the first.
     expected = [1.0] * 10 + [0.9 - 0.8 * min(1, step / 40) for step in range(10, 60)]
     np.testing.assert_allclose(found, np.array([expected, expected]).T)
 
@@ -123,7 +118,7 @@ def test_each_option_makes_a_difference(make: Make, option: str) -> None:
 
 
 def test_its_second_kind_is_the_first_with_three_options(
-    quick: Any, make: Make, make_task: Callable[[Config], Task]
+    make: Make, make_method: Callable[..., Any]
 ) -> None:
     options = (
         "method.dueling=true",
@@ -131,19 +126,14 @@ def test_its_second_kind_is_the_first_with_three_options(
         "method.q_learning.replay.alpha=0.6",
     )
     first = make(*options)
-    config = quick("method=dqn_prioritized")
-    second = DQN(config.method, make_task(config))
+    second = make_method("dqn_prioritized")
     for method in (first, second):
         list(method.train())
     assert torch.equal(second.policy.flat, first.policy.flat)
 
 
-@pytest.mark.parametrize("method", ["dqn", "dqn_prioritized"])
-def test_it_learns_to_balance_the_pole(
-    quick: Any, make_task: Callable[[Config], Task], method: str
-) -> None:
-    config = quick(
-        f"method={method}",
+def test_it_learns_to_balance_the_pole(make: Make, cartpole: Environment) -> None:
+    dqn = make(
         "method.total_timesteps=3000",
         "method.q_learning.learning_rate=3e-3",
         "method.q_learning.learning_starts=200",
@@ -153,8 +143,7 @@ def test_it_learns_to_balance_the_pole(
         "method.q_learning.replay.capacity=3000",
         "method.exploration.steps=1000",
     )
-    dqn = DQN(config.method, make_task(config))
-    evaluation = Evaluation(make_task(config).environment, config.seeds)
+    evaluation = Evaluation(cartpole, (0, 1))
     assert evaluation.returns(dqn.policy, 10, "before").mean() < 50
     best = np.zeros(2)
     for progress in dqn.train():

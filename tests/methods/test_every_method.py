@@ -18,31 +18,28 @@ from helpers.runs import Silence
 from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.config.schema import Config
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.environments import Environment
 from ril.experts.collection import Episode, save
 from ril.methods.base import Method, Progress
-from ril.methods.registry import METHODS
+from ril.methods.registry import names, spec
 from ril.policy import load_policy
 from ril.run.experiment import run
 from ril.run.identity import run_id
-from ril.task import Task
 from ril.vectorized.streams import Streams
 
-EVERY = tuple(METHODS)
-SEES_ACTIONS = tuple(name for name in EVERY if METHODS[name].sees_actions)
-SEES_NOTHING = tuple(name for name in EVERY if not METHODS[name].sees_expert)
-SEES_STATES_ONLY = tuple(
-    name for name in EVERY if METHODS[name].sees_expert and not METHODS[name].sees_actions
+EVERY = tuple(name for name in names() if spec(name).build is not None)
+SEES_ACTIONS, SEES_STATES_ONLY, SEES_NOTHING = (
+    tuple(name for name in EVERY if spec(name).expert == given)
+    for given in ("states and actions", "states", "nothing")
 )
 SEES_THE_EXPERT = (*SEES_ACTIONS, *SEES_STATES_ONLY)
 
 Make = Callable[..., Method]
 
 
-def test_every_method_with_a_configuration_is_here() -> None:
-    assert set(EVERY) == set(METHOD_CONFIGS) - {"random", "expert"}
+def test_all_but_the_references_are_trained() -> None:
+    assert set(names()) - set(EVERY) == {"random", "expert"}
 
 
 def test_methods_from_observation_are_shown_states_only() -> None:
@@ -54,12 +51,8 @@ def test_methods_from_rewards_alone_are_shown_nothing() -> None:
 
 
 @pytest.fixture(scope="module")
-def make(quick: Any, make_task: Callable[[Config], Task]) -> Make:
-    def made(name: str, *overrides: str) -> Method:
-        config = quick(f"method={name}", *overrides)
-        return METHODS[name].load()(config.method, make_task(config))
-
-    return made
+def make(make_method: Make) -> Make:
+    return make_method
 
 
 def trained(method: Method) -> list[Progress]:
@@ -186,7 +179,7 @@ STOPS = [(name, after) for name in EVERY for after in PHASES.get(name, (2,))]
 
 @pytest.mark.parametrize(("name", "after"), STOPS)
 @pytest.mark.parametrize("env", ["cartpole", "mountaincar"])
-def test_going_on_from_a_saved_state_is_as_if_never_stopped(
+def test_a_resumed_run_equals_an_uninterrupted_one(
     make: Make, name: str, after: int, env: str
 ) -> None:
     uninterrupted, stopped, resumed = (make(name, *ENVIRONMENTS[env]) for _ in range(3))
@@ -259,7 +252,7 @@ def test_a_policy_is_scored_only_once_it_can_act(name: str, folder: Path, make: 
     assert sorted(set(curve["epoch"])) == can_act
 
 
-def test_rows_have_the_trajectories_that_were_learnt_from(name: str, folder: Path) -> None:
+def test_rows_have_the_trajectories_that_were_used(name: str, folder: Path) -> None:
     trajectories = pd.read_csv(folder / "results.csv")["trajectories"]
     assert trajectories.isna().tolist() == [name in SEES_NOTHING] * 2
 

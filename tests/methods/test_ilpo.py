@@ -10,7 +10,6 @@ from helpers.references import LatentActions, Remapping, fill, linear_flat_of
 from torch import Tensor
 from torch.nn import functional
 
-from ril.config.schema import Config
 from ril.io.errors import UserError
 from ril.methods.ilpo import ILPO
 from ril.task import Task
@@ -26,12 +25,8 @@ SMALL = (
 
 
 @pytest.fixture
-def make(quick: Any, make_task: Callable[[Config], Task]) -> Callable[..., ILPO]:
-    def made(*overrides: str) -> ILPO:
-        config = quick("method=ilpo", *overrides)
-        return ILPO(config.method, make_task(config))
-
-    return made
+def make(make_method: Callable[..., Any]) -> Callable[..., ILPO]:
+    return lambda *overrides: make_method("ilpo", *overrides)
 
 
 def halves(method: ILPO) -> tuple[list[LatentActions], list[Remapping]]:

@@ -7,16 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from ril.config.schema import Config
-from ril.methods.iupe import IUPE
-from ril.methods.ril import RIL
-from ril.task import Task
-
-MakeTask = Callable[[Config], Task]
+from ril.io.errors import UserError
 
 #: What of RIL is IUPE: no reinforcement, and its keys as conf/method/iupe.yaml has them.
 AS_IUPE = (
-    "method=ril",
     "method.reinforcement=false",
     "method.inverse_dynamics.labels=sample",
     "method.goal_sampler.upper_limit=false",
@@ -27,10 +21,9 @@ BOTH = ("method.episodes=3", "method.epochs=6")
 
 
 @pytest.fixture(scope="module")
-def both(quick: Any, make_task: MakeTask) -> tuple[Any, ...]:
+def both(make_method: Callable[..., Any]) -> tuple[Any, ...]:
     """IUPE and RIL without its other half, trained, with their progress."""
-    config, other = quick("method=iupe", *BOTH), quick(*AS_IUPE, *BOTH)
-    iupe, ril = IUPE(config.method, make_task(config)), RIL(other.method, make_task(other))
+    iupe, ril = make_method("iupe", *BOTH), make_method("ril", *AS_IUPE, *BOTH)
     return iupe, ril, list(iupe.train()), list(ril.train())
 
 
@@ -71,12 +64,11 @@ def test_the_goal_sampler_mixes_without_equation_2(both: Any) -> None:
     ],
 )
 def test_each_of_its_keys_makes_a_difference(
-    both: Any, quick: Any, make_task: MakeTask, override: str
+    both: Any, make_method: Callable[..., Any], override: str
 ) -> None:
     key = override.partition("=")[0]
     others = [each for each in AS_IUPE if not each.startswith(key)]
-    config = quick(*others, override, *BOTH)
-    ril = RIL(config.method, make_task(config))
+    ril = make_method("ril", *others, override, *BOTH)
     list(ril.train())
     assert not torch.equal(ril.policy.flat, both[0].policy.flat)
 
@@ -90,7 +82,10 @@ def test_it_plays_as_many_episodes_as_asked(both: Any) -> None:
 
 
 def test_its_configuration_is_rils_but_for_its_keys(compose: Any) -> None:
-    iupe, ril = compose("env=cartpole", "method=iupe"), compose("env=cartpole", *AS_IUPE)
+    iupe, ril = (
+        compose("env=cartpole", "method=iupe"),
+        compose("env=cartpole", "method=ril", *AS_IUPE),
+    )
     for key in (
         "network",
         "inverse_dynamics",
@@ -100,3 +95,8 @@ def test_its_configuration_is_rils_but_for_its_keys(compose: Any) -> None:
         "stopping",
     ):
         assert getattr(iupe.method, key) == getattr(ril.method, key)
+
+
+def test_equation_2_is_refused(make_method: Callable[..., Any]) -> None:
+    with pytest.raises(UserError, match=r"^method\.goal_sampler\.upper_limit=true: .*method=ril"):
+        make_method("iupe", "method.goal_sampler.upper_limit=true")

@@ -9,16 +9,14 @@ import torch
 from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.config.schema import Config
-from ril.demonstrations.files import shipped_path
+from ril.io.errors import UserError
 from ril.learners.cloning import Cloning
 from ril.learners.exploration import exploration_ratio, explore, sample_softmax
 from ril.learners.goal_sampler import select
 from ril.learners.inverse_dynamics import InverseDynamics
 from ril.learners.q_learning import QLearning
 from ril.methods.base import Progress
-from ril.methods.ril import RIL
-from ril.task import Task
+from ril.methods.ril import Algorithm1
 from ril.vectorized.evaluation import Evaluation
 from ril.vectorized.networks import MLP, Network
 from ril.vectorized.replay import Replay
@@ -26,81 +24,16 @@ from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.streams import Streams
 
 CPU = torch.device("cpu")
-MakeTask = Callable[[Config], Task]
 
 
 @pytest.fixture
-def make(quick: Any, make_task: MakeTask) -> Callable[..., RIL]:
-    """RIL on the quick configuration, with overrides."""
-
-    def made(*overrides: str) -> RIL:
-        config = quick(*overrides)
-        return RIL(config.method, make_task(config))
-
-    return made
+def make(make_method: Callable[..., Any]) -> Callable[..., Any]:
+    """RIL on the small run's configuration, with overrides."""
+    return lambda *overrides: make_method("ril", *overrides)
 
 
-def trained(method: RIL) -> list[Progress]:
+def trained(method: Algorithm1) -> list[Progress]:
     return list(method.train())
-
-
-# Sizes as in conf/, since which kernel multiplies depends on them.
-SETTINGS = {
-    "cartpole": ("method.epochs=5",),
-    "mountaincar": ("env=mountaincar", "env.goal.minimum_return=null", "method.epochs=4"),
-    "lunarlander": (
-        "env=lunarlander",
-        "env.goal.minimum_return=null",
-        f"demonstrations={shipped_path('lunarlander')}",
-        "method.epochs=2",
-    ),
-}
-
-
-@pytest.fixture(scope="module", params=SETTINGS)
-def alone_and_among(
-    request: pytest.FixtureRequest, quick: Any, make_task: MakeTask
-) -> tuple[tuple[RIL, list[Progress]], ...]:
-    """Seed 5 alone, and between seeds 3 and 9."""
-    runs = []
-    for seeds in ("[5]", "[3,5,9]"):
-        config = quick(
-            *SETTINGS[request.param],
-            f"seeds={seeds}",
-            "method.inverse_dynamics.batch_size=128",
-            "method.cloning.batch_size=32",
-            "method.q_learning.batch_size=32",
-        )
-        method = RIL(config.method, make_task(config))
-        runs.append((method, trained(method)))
-    return tuple(runs)
-
-
-def test_a_seeds_policy_does_not_depend_on_other_seeds(alone_and_among: Any) -> None:
-    (alone, _), (among, _) = alone_and_among
-    assert torch.equal(among.policy.flat[1], alone.policy.flat[0])
-
-
-def test_a_seeds_inverse_dynamics_do_not_depend_on_other_seeds(alone_and_among: Any) -> None:
-    (alone, _), (among, _) = alone_and_among
-    found = among.imitation.inverse_dynamics.network.flat[1]
-    assert torch.equal(found, alone.imitation.inverse_dynamics.network.flat[0])
-
-
-def test_a_seeds_progress_does_not_depend_on_other_seeds(alone_and_among: Any) -> None:
-    (_, alone), (_, among) = alone_and_among
-    for one, several in zip(alone, among, strict=True):
-        assert several.env_samples[1] == one.env_samples[0]
-        assert several.expert_samples[1] == one.expert_samples[0]
-        assert several.metrics.keys() == one.metrics.keys()
-        for name, values in one.metrics.items():
-            assert several.metrics[name][1] == values[0], name
-        np.testing.assert_array_equal(several.pseudo_labels[1], one.pseudo_labels[0])
-
-
-def test_seeds_differ(alone_and_among: Any) -> None:
-    _, (among, _) = alone_and_among
-    assert not torch.equal(among.policy.flat[0], among.policy.flat[1])
 
 
 def test_training_changes_everything_that_learns(make: Any) -> None:
@@ -108,9 +41,9 @@ def test_training_changes_everything_that_learns(make: Any) -> None:
     before = copied(method.state_dict())
     trained(method)
     after = method.state_dict()
-    assert not torch.equal(after["policy"], before["policy"])
-    imitation = after["parts"]["imitation"]["parts"]
-    for part in (imitation["inverse_dynamics"], imitation["cloning"], after["parts"]["q_learning"]):
+    assert not torch.equal(after["policy"]["flat"], before["policy"]["flat"])
+    of_cloning, of_rewards = after["cloner"], after["correction"]["q_learning"]
+    for part in (after["imitation"]["inverse_dynamics"], of_cloning, of_rewards):
         assert part["optimizer"]["steps"] > 0
 
 
@@ -127,7 +60,7 @@ LONG = ("method.epochs=6", "ablation.n=5", "method.stopping.patience=5")
         ("method.reinforcement=false",),
     ],
 )
-def test_going_on_from_a_saved_state_is_as_if_never_stopped(make: Any, overrides: Any) -> None:
+def test_a_resumed_run_equals_an_uninterrupted_one(make: Any, overrides: Any) -> None:
     uninterrupted, stopped = make(*LONG, *overrides), make(*LONG, *overrides)
     expected = trained(uninterrupted)
     epochs = stopped.train()
@@ -144,14 +77,7 @@ def test_going_on_from_a_saved_state_is_as_if_never_stopped(make: Any, overrides
     assert_equal_states(resumed.state_dict(), uninterrupted.state_dict())
 
 
-def test_a_finished_state_has_nothing_left_to_train(make: Any) -> None:
-    finished, resumed = make(), make()
-    trained(finished)
-    resumed.load_state_dict(copied(finished.state_dict()))
-    assert trained(resumed) == []
-
-
-def networks(method: RIL, purpose: str, inputs: int) -> Network:
+def networks(method: Algorithm1, purpose: str, inputs: int) -> Network:
     """Fresh networks as RIL begins with."""
     shape, task = method.config.network, method.task
     architecture = MLP(
@@ -163,7 +89,7 @@ def networks(method: RIL, purpose: str, inputs: int) -> Network:
 class Player:
     """Plays one ε-greedy episode per seed, with RIL's streams of random numbers."""
 
-    def __init__(self, method: RIL, policy: Network) -> None:
+    def __init__(self, method: Algorithm1, policy: Network) -> None:
         self.policy, self.task = policy, method.task
         self.kind = method.config.exploration.kind
         self.environments = Environments(self.task.environment, len(self.task.seeds))
@@ -184,7 +110,7 @@ class Player:
         return self.environments.play(act, self.resets.integers(2**31))
 
 
-def q_learning_alone(method: RIL, epochs: int, epsilon: float) -> Network:
+def q_learning_alone(method: Algorithm1, epochs: int, epsilon: float) -> Network:
     """DQN from the same parts: play an episode, remember it, learn from the memory."""
     config, task = method.config.q_learning, method.task
     size, seeds = task.environment.observation_size, task.seeds
@@ -215,18 +141,19 @@ def test_without_imitation_it_is_q_learning_alone(make: Any, kind: str) -> None:
 
 def test_without_imitation_nothing_is_imitated(make: Any) -> None:
     method = make("method.imitation=false")
-    before = copied(method.state_dict())["parts"]["imitation"]["parts"]
+    before = copied(method.state_dict())["imitation"]
     trained(method)
-    after = method.state_dict()["parts"]["imitation"]["parts"]
-    for name in ("inverse_dynamics", "cloning", "pre", "stopping"):
+    after = method.state_dict()["imitation"]
+    for name in ("inverse_dynamics", "pre", "pos", "stopping"):
         assert_equal_states(after[name], before[name], name)
+    assert method.cloner is None
 
 
 def test_without_imitation_no_expert_sample_is_used(make: Any) -> None:
     assert trained(make("method.imitation=false"))[-1].expert_samples.tolist() == [0, 0]
 
 
-def random_transitions(method: RIL, policy: Network) -> Replay:
+def random_transitions(method: Algorithm1, policy: Network) -> Replay:
     """I^pre: transitions of the untrained policy, ten episodes per seed side by side."""
     environment, seeds = method.task.environment, method.task.seeds
     count = len(seeds)
@@ -246,7 +173,9 @@ def random_transitions(method: RIL, policy: Network) -> Replay:
     return pre
 
 
-def imitation_alone(method: RIL, epochs: int, n: float, goal: float) -> tuple[Network, Network]:
+def imitation_alone(
+    method: Algorithm1, epochs: int, n: float, goal: float
+) -> tuple[Network, Network]:
     """Iterated imitation from observation, from the same parts; π_φ and M_θ."""
     config, task = method.config, method.task
     size, seeds = task.environment.observation_size, task.seeds
@@ -295,19 +224,20 @@ def test_without_reinforcement_it_is_imitation_alone(make: Any, keep_pre: str) -
     assert torch.equal(method.imitation.inverse_dynamics.network.flat, dynamics.flat)
 
 
-def test_without_reinforcement_no_q_learning_happens(make: Any) -> None:
-    method = make("method.reinforcement=false")
-    before = copied(method.state_dict())["parts"]["q_learning"]
-    trained(method)
-    after = method.state_dict()["parts"]["q_learning"]
-    for name in ("optimizer", "replay", "streams"):
-        assert_equal_states(after[name], before[name], name)
+def test_without_reinforcement_nothing_corrects_the_policy(make: Any) -> None:
+    assert make("method.reinforcement=false").correction is None
+
+
+def test_without_both_halves_it_is_refused(make: Any) -> None:
+    halves = "method.imitation=false method.reinforcement=false"
+    with pytest.raises(UserError, match=f"^{halves}: at least one must be true"):
+        make(*halves.split())
 
 
 def test_the_memory_holds_ten_mean_expert_trajectories(make: Any) -> None:
     method = make("ablation.trajectories=3")
     lengths = len(method.task.expert.observations) / 3
-    assert method.q_learning.replay.capacity == round(10 * lengths)
+    assert method.correction.q_learning.replay.capacity == round(10 * lengths)
 
 
 def test_the_random_transitions_are_as_many_as_asked(make: Any) -> None:
@@ -324,7 +254,7 @@ def test_without_imitation_there_are_no_random_transitions(make: Any) -> None:
 def test_environment_samples_are_the_steps_of_the_own_episodes(make: Any) -> None:
     method = make("method.episodes=2", "method.q_learning.replay_trajectories=100")
     progress = trained(method)
-    assert progress[-1].env_samples.tolist() == method.q_learning.replay.sizes.tolist()
+    assert progress[-1].env_samples.tolist() == method.correction.q_learning.replay.sizes.tolist()
 
 
 def test_training_returns_are_means_of_the_own_episodes(make: Any) -> None:
@@ -371,10 +301,6 @@ def test_an_epochs_memory_forgets_earlier_successes(make: Any) -> None:
     )
 
 
-def test_training_ends_after_its_epochs(make: Any) -> None:
-    assert [progress.epoch for progress in trained(make("method.epochs=3"))] == [1, 2, 3]
-
-
 def test_training_ends_once_all_seeds_have_stopped(make: Any) -> None:
     # No loss falls by 99 % in an epoch, so every seed stops after the second.
     method = make("method.stopping.patience=1", "method.stopping.loss_tolerance=0.99")
@@ -402,8 +328,8 @@ def test_the_policy_acts_greedily_for_each_seed(make: Any) -> None:
     assert len(set(expected)) > 1
 
 
-def test_it_learns_to_balance_the_pole(quick: Any, make_task: MakeTask) -> None:
-    config = quick(
+def test_it_learns_to_balance_the_pole(make: Any) -> None:
+    method = make(
         "env.goal.minimum_return=195",
         "method.epochs=15",
         "method.goal_sampler.pre_steps_per_action=500",
@@ -413,7 +339,6 @@ def test_it_learns_to_balance_the_pole(quick: Any, make_task: MakeTask) -> None:
         "method.cloning.learning_rate=0.005",
         "method.q_learning.updates=10",
     )
-    method = RIL(config.method, make_task(config))
     evaluation = Evaluation(method.task.environment, method.task.seeds)
     assert evaluation.returns(method.policy, 10, "before").mean() < 50
     trained(method)

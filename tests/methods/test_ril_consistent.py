@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,45 +12,42 @@ from helpers.runs import Silence
 from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
-from ril.config.schema import Config
 from ril.io.errors import UserError
 from ril.learners.consistency import ConsistentLearning
 from ril.learners.exploration import Explorer
 from ril.learners.imitation import SelfSupervisedImitation
 from ril.learners.td import n_step
 from ril.methods.base import Progress
-from ril.methods.ril import RIL
-from ril.methods.ril_consistent import ConsistentRIL
+from ril.methods.ril import Algorithm1
+from ril.methods.ril_consistent import RILConsistentConfig
 from ril.run.experiment import run
-from ril.task import Task
 from ril.vectorized.evaluation import Evaluation
 from ril.vectorized.networks import MLP, Consistent, Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 
 CPU = torch.device("cpu")
-MakeTask = Callable[[Config], Task]
-Make = Callable[..., ConsistentRIL]
+Make = Callable[..., Any]
 
 
 @pytest.fixture
-def make(quick: Any, make_task: MakeTask) -> Make:
-    """Consistent RIL on the quick configuration, with overrides."""
-
-    def made(*overrides: str) -> ConsistentRIL:
-        config = quick("method=ril_consistent", *overrides)
-        return ConsistentRIL(config.method, make_task(config))
-
-    return made
+def make(make_method: Make) -> Make:
+    """Consistent RIL on the small run's configuration, with overrides."""
+    return lambda *overrides: make_method("ril_consistent", *overrides)
 
 
-def trained(method: RIL) -> list[Progress]:
+def learning_of(method: Algorithm1) -> ConsistentLearning:
+    """What corrects the policy by rewards and labels."""
+    correction: Any = method.correction
+    assert isinstance(correction.learning, ConsistentLearning)
+    return correction.learning
+
+
+def trained(method: Algorithm1) -> list[Progress]:
     return list(method.train())
 
 
-def test_without_reinforcement_it_imitates_as_ril_does(
-    make: Make, quick: Any, make_task: MakeTask
-) -> None:
+def test_without_reinforcement_it_imitates_as_ril_does(make: Make, make_method: Make) -> None:
     settings = (
         "method.reinforcement=false",
         "method.epochs=8",
@@ -59,8 +56,7 @@ def test_without_reinforcement_it_imitates_as_ril_does(
         "method.inverse_dynamics.standardise=true",
         "method.inverse_dynamics.learning_rate=0.001",
     )
-    method, config = make(*settings), quick("method=ril", *settings)
-    ril = RIL(config.method, make_task(config))
+    method, ril = make(*settings), make_method("ril", *settings)
     assert method.policy.architecture == ril.policy.architecture
     ril.policy.flat.copy_(method.policy.flat)
     for found, expected in zip(trained(method), trained(ril), strict=True):
@@ -71,24 +67,16 @@ def test_without_reinforcement_it_imitates_as_ril_does(
         np.testing.assert_array_equal(found.pseudo_labels, expected.pseudo_labels)
         np.testing.assert_array_equal(found.env_samples, expected.env_samples)
     assert torch.equal(method.policy.flat, ril.policy.flat)
-    states = [each.state_dict()["parts"]["imitation"] for each in (method, ril)]
+    states = [each.state_dict()["imitation"] for each in (method, ril)]
     assert_equal_states(*states)
+    assert method.correction is None
 
 
-def test_without_reinforcement_nothing_is_learnt_from_rewards(make: Make) -> None:
-    method = make("method.reinforcement=false")
-    before = copied(method.state_dict())["parts"]["learning"]
-    trained(method)
-    after = method.state_dict()["parts"]["learning"]
-    for name in ("network", "unit", "optimizer", "replay", "streams"):
-        assert_equal_states(after[name], before[name], name)
-
-
-def rewards_alone(method: ConsistentRIL, epochs: int, epsilon: float) -> Network:
+def rewards_alone(method: Algorithm1, epochs: int, epsilon: float) -> Network:
     """The same learner, given an episode of each seed after the other, and no label."""
-    config, task = method.config, method.task
+    config, task = cast(RILConsistentConfig, method.config), method.task
     settings, size = config.q_learning, task.environment.observation_size
-    shape = method.learning.network.architecture
+    shape = learning_of(method).network.architecture
     length = len(task.expert.observations) / task.expert.trajectories
     learning = ConsistentLearning(
         Network.initialize(shape, task.seeds, "policy", CPU),
@@ -116,11 +104,10 @@ def test_without_imitation_it_learns_from_rewards_alone(make: Make) -> None:
 
 def test_without_imitation_nothing_is_imitated(make: Make) -> None:
     method = make("method.imitation=false")
-    before = copied(method.state_dict())["parts"]["imitation"]["parts"]
+    before = copied(method.state_dict())["imitation"]
     progress = trained(method)
-    after = method.state_dict()["parts"]["imitation"]["parts"]
-    for name in ("inverse_dynamics", "cloning", "pre", "stopping"):
-        assert_equal_states(after[name], before[name], name)
+    assert_equal_states(method.state_dict()["imitation"], before)
+    assert method.cloner is None
     for each in progress:
         assert each.expert_samples.tolist() == [0, 0]
         assert each.pre_samples == 0
@@ -129,9 +116,10 @@ def test_without_imitation_nothing_is_imitated(make: Make) -> None:
         assert "td_loss" in each.metrics
 
 
-def test_without_both_nothing_would_learn(make: Make) -> None:
-    with pytest.raises(UserError, match="nothing would learn"):
-        make("method.imitation=false", "method.reinforcement=false")
+def test_without_both_halves_it_is_refused(make: Make) -> None:
+    halves = "method.imitation=false method.reinforcement=false"
+    with pytest.raises(UserError, match=f"^{halves}: at least one must be true"):
+        make(*halves.split())
 
 
 def stored(replay: Replay, seed: int) -> list[Tensor]:
@@ -151,7 +139,7 @@ def test_it_remembers_its_own_episodes(make: Make, monkeypatch: pytest.MonkeyPat
     progress = trained(method)
     assert len(own) == len(progress) == 3
 
-    learning, config = method.learning, method.config.q_learning
+    learning, config = learning_of(method), method.config.q_learning
     expected = Replay(2, learning.replay.capacity, 4, CPU)
     for episodes in own:
         expected.append(n_step(episodes, config.n_steps, config.discount, learning.unit.numpy()))
@@ -161,10 +149,10 @@ def test_it_remembers_its_own_episodes(make: Make, monkeypatch: pytest.MonkeyPat
 
 
 def test_rewards_are_in_units_of_those_of_the_first_episodes(make: Make) -> None:
-    assert make().learning.unit.tolist() == [0.0, 0.0]  # not known yet
+    assert learning_of(make()).unit.tolist() == [0.0, 0.0]  # not known yet
     method = make()
     trained(method)
-    assert method.learning.unit.tolist() == [1.0, 1.0]  # CartPole pays 1 for each step
+    assert learning_of(method).unit.tolist() == [1.0, 1.0]  # CartPole pays 1 for each step
 
 
 @pytest.fixture
@@ -248,13 +236,14 @@ def test_labels_that_inverse_dynamics_is_unsure_of_have_no_weight(
     confidence = []
     infer = SelfSupervisedImitation.infer_actions
 
-    def inferred(self: SelfSupervisedImitation, limit: float) -> Any:
-        answer = infer(self, limit)
-        states = (x.expand(2, -1, -1) for x in (self.expert_states, self.expert_next))
+    def inferred(self: SelfSupervisedImitation) -> Tensor:
+        labels = infer(self)
+        expert: Any = self.task.expert
+        pairs = (torch.from_numpy(x) for x in (expert.observations, expert.next_observations))
         with torch.no_grad():
-            chances = self.inverse_dynamics(*states).softmax(dim=-1)
-        confidence.append(chances.gather(-1, answer[1][..., None])[..., 0])
-        return answer
+            logits = self.inverse_dynamics(*(x.expand(2, -1, -1) for x in pairs))
+        confidence.append(logits.softmax(dim=-1).gather(-1, labels[..., None])[..., 0])
+        return labels
 
     monkeypatch.setattr(SelfSupervisedImitation, "infer_actions", inferred)
     labels = f"method.inverse_dynamics.labels={kind}"
@@ -331,9 +320,7 @@ def test_labels_change_the_policy_by_their_weight_alone(make: Make, weight: floa
         ("method.reinforcement=false",),
     ],
 )
-def test_going_on_from_a_saved_state_is_as_if_never_stopped(
-    make: Make, overrides: tuple[str, ...]
-) -> None:
+def test_a_resumed_run_equals_an_uninterrupted_one(make: Make, overrides: tuple[str, ...]) -> None:
     uninterrupted, stopped, resumed = (make("method.epochs=6", *overrides) for _ in range(3))
     expected = trained(uninterrupted)
     epochs = stopped.train()
@@ -352,18 +339,18 @@ def test_going_on_from_a_saved_state_is_as_if_never_stopped(
 def test_the_memory_holds_as_many_mean_expert_trajectories_as_asked(make: Make) -> None:
     method = make("ablation.trajectories=3", "method.q_learning.replay_trajectories=20")
     lengths = len(method.task.expert.observations) / 3
-    assert method.learning.replay.capacity == round(20 * lengths)
+    assert learning_of(method).replay.capacity == round(20 * lengths)
 
 
 def test_the_newest_are_as_many_mean_expert_trajectories_as_asked(make: Make) -> None:
     method = make("ablation.trajectories=3", "method.q_learning.replay_recent=0.5")
-    assert method.learning.recent == round(0.5 * len(method.task.expert.observations) / 3)
-    assert make("method.q_learning.replay_recent=null").learning.recent is None
+    assert learning_of(method).recent == round(0.5 * len(method.task.expert.observations) / 3)
+    assert learning_of(make("method.q_learning.replay_recent=null")).recent is None
 
 
 def test_values_have_a_topology_of_their_own_and_the_policy_the_papers(make: Make) -> None:
     method = make("method.q_learning.value_hidden=[7,5]", "method.q_learning.temperature=0.2")
-    architecture = method.learning.network.architecture
+    architecture = learning_of(method).network.architecture
     assert isinstance(architecture, Consistent)
     of_policy = MLP(4, (8, 8), 2)  # §4.1
     assert architecture.policy == method.policy.architecture == of_policy
@@ -398,9 +385,8 @@ def test_the_policy_that_is_saved_has_the_papers_topology(
 
 
 @pytest.mark.parametrize("imitation", ["true", "false"])
-def test_it_learns_to_balance_the_pole(quick: Any, make_task: MakeTask, imitation: str) -> None:
-    config = quick(
-        "method=ril_consistent",
+def test_it_learns_to_balance_the_pole(make: Make, imitation: str) -> None:
+    method = make(
         f"method.imitation={imitation}",
         "seeds=4",
         "env.goal.minimum_return=195",
@@ -415,7 +401,6 @@ def test_it_learns_to_balance_the_pole(quick: Any, make_task: MakeTask, imitatio
         "method.q_learning.tau=0.02",
         "method.q_learning.value_hidden=[32,32]",
     )
-    method = ConsistentRIL(config.method, make_task(config))
     evaluation = Evaluation(method.task.environment, method.task.seeds)
     assert evaluation.returns(method.policy, 10, "before").mean() < 50
     trained(method)

@@ -14,7 +14,6 @@ from ril.io.errors import UserError
 from ril.learners.exploration import exploration_ratio
 from ril.learners.online_q_learning import OnlineQLearning
 from ril.methods.base import Progress
-from ril.methods.ril import RIL
 from ril.methods.ril_sequential import SequentialRIL
 from ril.task import Task
 from ril.vectorized.networks import Network
@@ -26,12 +25,8 @@ EPOCHS = 6  # of the first half; the second has one for each of its 60 steps
 
 
 @pytest.fixture(scope="module")
-def make(quick: Any, make_task: Callable[[Config], Task]) -> Make:
-    def made(*overrides: str) -> SequentialRIL:
-        config = quick("method=ril_sequential", f"method.epochs={EPOCHS}", *overrides)
-        return SequentialRIL(config.method, make_task(config))
-
-    return made
+def make(make_method: Callable[..., Any]) -> Make:
+    return lambda *overrides: make_method("ril_sequential", f"method.epochs={EPOCHS}", *overrides)
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +41,11 @@ def halves(make: Make) -> Any:
 
 @pytest.mark.parametrize("episodes", [1, 3])
 def test_its_first_half_is_rils_imitation_bit_for_bit(
-    make: Make, quick: Any, make_task: Callable[[Config], Task], episodes: int
+    make: Make, make_method: Callable[..., Any], episodes: int
 ) -> None:
     changes = (f"method.epochs={EPOCHS}", f"method.episodes={episodes}")
-    config = quick("method=ril", "method.reinforcement=false", *changes)
-    ril, sequential = RIL(config.method, make_task(config)), make(*changes)
+    ril = make_method("ril", "method.reinforcement=false", *changes)
+    sequential = make(*changes)
     expected = list(ril.train())
     found = list(islice(sequential.train(), EPOCHS))
     assert torch.equal(sequential.policy.flat, ril.policy.flat)
@@ -68,21 +63,21 @@ def test_its_first_half_is_rils_imitation_bit_for_bit(
 
 def test_its_first_half_does_no_q_learning(halves: Any, make: Make) -> None:
     found, expected = copied(halves[3]), copied(make().state_dict())
-    assert_equal_states(found["parts"]["q_learning"], expected["parts"]["q_learning"])
+    assert_equal_states(found["q_learning"], expected["q_learning"])
 
 
 def test_its_second_half_does_no_imitation(halves: Any) -> None:
     method, _, _, middle = halves
-    after, before = method.state_dict()["parts"], middle["parts"]
-    assert_equal_states(after["explorer"], before["explorer"])
-    imitation, unchanged = after["imitation"]["parts"], before["imitation"]["parts"]
-    for name in imitation.keys() - {"exploration ratio stream"}:
-        assert_equal_states(imitation[name], unchanged[name], name)
+    after, before = copied(method.state_dict())["first_half"], copied(middle)["first_half"]
+    assert not torch.equal(after.pop("policy")["flat"], before.pop("policy")["flat"])
+    for half in (after, before):
+        del half["imitation"]["_streams"]["exploration ratio"]
+    assert_equal_states(after, before)
 
 
 def test_its_second_half_changes_the_policy(halves: Any) -> None:
     method, _, _, middle = halves
-    assert (method.policy.flat != middle["policy"]).any(dim=1).all()
+    assert (method.policy.flat != middle["first_half"]["policy"]["flat"]).any(dim=1).all()
 
 
 def second_half(
@@ -90,13 +85,13 @@ def second_half(
 ) -> Network:
     """Q-learning alone from the policy of the first half, with its own exploration ratio."""
     policy = method.policy.copy()
-    policy.flat.copy_(middle["policy"])
+    policy.load_state_dict(middle["first_half"]["policy"])
     settings: Any = config.method
     settings.q_learning.replay.capacity = round(10 * len(task.expert.observations))
     kind = settings.exploration.kind
     q_learning = OnlineQLearning(settings.q_learning, task, policy, kind, 60, SECOND)
     ratio = Streams(task.seeds, "exploration ratio")
-    ratio.load_state_dict(middle["parts"]["imitation"]["parts"]["exploration ratio stream"])
+    ratio.load_state_dict(middle["first_half"]["imitation"]["_streams"]["exploration ratio"])
     states = torch.from_numpy(task.expert.observations).expand(2, -1, -1)
     for step in range(1, epochs + 1):
         with torch.no_grad():
@@ -137,7 +132,7 @@ def test_a_fixed_epsilon_is_kept_in_both_halves(make: Make) -> None:
 
 def test_the_experts_samples_count_once_per_epoch_of_imitation(halves: Any) -> None:
     method, first, rest, _ = halves
-    once = len(method.task.expert.observations)
+    once = len(method.imitation.task.expert.observations)
     found = [each.expert_samples.tolist() for each in (*first, *rest)]
     assert found == [[once * min(epoch, EPOCHS)] * 2 for epoch in range(1, EPOCHS + 61)]
 
@@ -176,7 +171,7 @@ def test_all_of_the_second_halfs_budget_is_used_in_epochs_alike(make: Make) -> N
 
 def test_the_memory_holds_ten_mean_expert_trajectories(make: Make) -> None:
     method = make("ablation.trajectories=3")
-    lengths = len(method.task.expert.observations) / 3
+    lengths = len(method.imitation.task.expert.observations) / 3
     assert method.q_learning.learner.replay.capacity == round(10 * lengths)
 
 
@@ -196,7 +191,7 @@ def test_a_stopping_rule_is_refused(make: Any) -> None:
         make("method.stopping.patience=1")
 
 
-def test_only_looks_in_the_second_half_may_be_the_best(halves: Any) -> None:
+def test_only_policies_of_the_second_half_may_be_the_best(halves: Any) -> None:
     _, first, second, _ = halves
     assert not any(progress.can_be_best for progress in first)
     assert all(progress.can_be_best for progress in second)

@@ -25,9 +25,10 @@ from ril.io.errors import UserError
 from ril.io.locks import claimed
 from ril.io.signals import Stopped
 from ril.methods.base import Progress
-from ril.run import experiment, training
+from ril.run import training, write
 from ril.run.experiment import run
 from ril.run.record import Record
+from ril.vectorized.evaluation import Evaluation
 
 Cell = Callable[..., Config]
 EPOCHS = 5
@@ -142,14 +143,13 @@ def test_a_full_disk_at_a_checkpoint_is_said_once_and_waited_out(
     display.scoring = (small_disk / "filler").unlink  # type: ignore[method-assign]
     folder = run(cell(output=small_disk / "outputs"), display)
     path = folder / "checkpoint.pt"
-    assert display.lines == [
-        f"{path}: cannot be written ({FULL}); training goes on, the last one that could be stays"
-    ]
+    [line] = display.lines
+    assert line.startswith(f"{path}: cannot be written ({FULL}); training continues")
     assert left_by(folder) == expected
     assert not half_written(small_disk)
 
 
-def test_a_run_stopped_on_a_full_disk_says_so_and_goes_on_from_the_checkpoint_before(
+def test_a_run_stopped_on_a_full_disk_says_so_and_resumes_from_the_checkpoint_before(
     cell: Cell, small_disk: Path, expected: tuple[str, str]
 ) -> None:
     def fill_and_stop() -> None:
@@ -158,7 +158,7 @@ def test_a_run_stopped_on_a_full_disk_says_so_and_goes_on_from_the_checkpoint_be
 
     config = cell(output=small_disk / "outputs")
     full = re.escape(f"checkpoint.pt: cannot be written ({FULL})")
-    with pytest.raises(Stopped, match=rf"^stopped after epoch 3; {small_disk}.*{full}; go on with"):
+    with pytest.raises(Stopped, match=rf"^stopped after epoch 3; {small_disk}.*{full}; resume with"):
         run(config, Script(3, fill_and_stop))
     (small_disk / "filler").unlink()
     display = Script()
@@ -166,10 +166,11 @@ def test_a_run_stopped_on_a_full_disk_says_so_and_goes_on_from_the_checkpoint_be
     assert display.epochs == [3, 4, 5]
 
 
+#: Each file of the end, and after what the disk is full.
 AT_THE_END = {
-    "policy.pt": "random_returns",  # after which it is full
-    "curve.csv": "save_policies",
-    "results.csv": "_rows",
+    "policy.pt": (Evaluation, "returns"),
+    "curve.csv": (write, "save_policies"),
+    "results.csv": (write, "_rows"),
 }
 
 
@@ -181,7 +182,8 @@ def test_a_full_disk_at_the_end_is_named_and_only_scoring_is_done_again(
     monkeypatch: pytest.MonkeyPatch,
     name: str,
 ) -> None:
-    before = getattr(experiment, AT_THE_END[name])
+    owner, function = AT_THE_END[name]
+    before = getattr(owner, function)
 
     def then_full(*arguments: Any, **options: Any) -> Any:
         result = before(*arguments, **options)
@@ -190,9 +192,9 @@ def test_a_full_disk_at_the_end_is_named_and_only_scoring_is_done_again(
 
     config = cell(output=small_disk / "outputs")
     with monkeypatch.context() as patched:
-        patched.setattr(experiment, AT_THE_END[name], then_full)
-        said = refusal(config)
-    assert f"/{name}: cannot be written ({FULL}); go on with " in said
+        # From scoring on, so that the last checkpoint is whole.
+        said = refusal(config, Script(0, lambda: patched.setattr(owner, function, then_full)))
+    assert f"/{name}: cannot be written ({FULL}); resume with " in said
     assert not half_written(small_disk)
     assert not list(small_disk.rglob("results.csv"))
     (small_disk / "filler").unlink()
@@ -297,11 +299,11 @@ def test_an_output_folder_that_vanishes_while_scoring_ends_the_run_in_one_line(
     assert not output.exists()
 
 
-@pytest.mark.parametrize("content", [b"", b'{"run_id": "0', b"[]", b"\xff\xfe", b"nonsense"])
+@pytest.mark.parametrize("content", [b"", b'{"run_id": "0', b"[]", b"\xff\xfe"])
 def test_provenance_that_is_torn_is_named(cell: Cell, interrupted: Path, content: bytes) -> None:
     path = interrupted / "provenance.json"
     path.write_bytes(content)
-    assert refusal(cell()).startswith(f"{path}: cannot be read, so where the run began is not")
+    assert refusal(cell()).startswith(f"{path}: cannot be read")
     assert path.read_bytes() == content
     assert (interrupted / "checkpoint.pt").exists()
 
@@ -417,7 +419,7 @@ def changed(path: Path) -> bytes:
     return whole
 
 
-def test_a_run_does_not_go_on_with_other_demonstrations(
+def test_a_run_does_not_resume_with_other_demonstrations(
     cell: Cell, demonstrations: Path, tmp_path: Path
 ) -> None:
     config = cell(f"demonstrations={demonstrations}")
@@ -425,7 +427,7 @@ def test_a_run_does_not_go_on_with_other_demonstrations(
         run(config, Script(4, interrupt))
     whole = changed(demonstrations)
     said = refusal(config)
-    assert said.startswith(f"demonstrations={demonstrations}: changed since the stopped run in ")
+    assert said.startswith(f"demonstrations={demonstrations}: has changed since the stopped run in ")
     assert len(list((tmp_path / "outputs" / "cartpole" / "ril").iterdir())) == 1
 
     demonstrations.write_bytes(whole)
@@ -435,7 +437,7 @@ def test_a_run_does_not_go_on_with_other_demonstrations(
 
 
 @pytest.mark.parametrize("way", ["a folder deleted", "resume=false", "another file"])
-def test_with_other_demonstrations_a_run_begins_anew_if_that_is_meant(
+def test_with_other_demonstrations_a_run_begins_again_if_that_is_meant(
     cell: Cell, demonstrations: Path, tmp_path: Path, way: str
 ) -> None:
     given = f"demonstrations={demonstrations}"

@@ -1,4 +1,4 @@
-"""Processes that are killed while they run a cell, and what is left when it has gone on."""
+"""Processes that are killed while they run a cell, and what is left when it has resumed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CONTEXT.set_forkserver_preload(
         "ril.run.experiment",
         "gymnasium.envs.classic_control",
     ]
-    + [f"ril.methods.{name}" for name in ("bc", "dqn", "gail", "iupe", "ppo", "ril")]
+    + [f"ril.methods.{name}" for name in ("dqn", "gail", "ril")]
 )
 
 
@@ -102,13 +102,12 @@ def only_run(config: Config) -> Path:
     return path.parent
 
 
+#: One that is trained step by step, and one by episodes and from the expert.
 METHODS = {
-    "bc": ("method.epochs=12",),
-    "dqn": ("method.total_timesteps=40", "evaluation.every=10%"),
-    "iupe": ("method.epochs=12",),
-    "ril": ("method.epochs=12",),
+    "dqn": ("method.total_timesteps=30", "evaluation.every=10%"),
+    "ril": ("method.epochs=8",),
 }
-KILLS = 20
+KILLS = 10
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -139,7 +138,7 @@ def test_a_run_killed_at_random_moments_leaves_what_an_uninterrupted_one_does(
         shutil.rmtree(killed.output_dir)
 
 
-@pytest.mark.parametrize("method", ["bc", "gail", "ppo", "ril"])
+@pytest.mark.parametrize("method", ["gail", "ril"])
 def test_a_run_killed_before_each_of_its_writes_leaves_what_an_uninterrupted_one_does(
     cell: Callable[..., Config], method: str
 ) -> None:
@@ -160,7 +159,7 @@ def test_a_run_killed_before_each_of_its_writes_leaves_what_an_uninterrupted_one
 def test_of_two_processes_asked_for_a_cell_at_once_one_runs_it(
     cell: Callable[..., Config], tmp_path: Path
 ) -> None:
-    config, files = cell("method.epochs=30"), [tmp_path / "one", tmp_path / "two"]
+    config, files = cell("method.epochs=15"), [tmp_path / "one", tmp_path / "two"]
     processes = [start(run_and_say, config, file) for file in files]
     for process in processes:
         process.join()
@@ -168,6 +167,6 @@ def test_of_two_processes_asked_for_a_cell_at_once_one_runs_it(
     first, second = sorted((file.read_text() for file in files), key=lambda text: "waiting" in text)
     assert "scoring" in first
     assert "waiting" not in first
-    assert re.search(r"process \d+ on .* runs it already; waiting for its rows", second)
+    assert re.search(r"process \d+ on .* is running this cell; waiting for its rows", second)
     assert "scoring" not in second
-    assert "finished before, so not run again" in second
+    assert "already finished" in second
