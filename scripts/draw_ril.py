@@ -32,7 +32,7 @@ SPACE: dict[str, tuple[Any, ...]] = {
     "method.exploration.kind": ("softmax", "uniform"),
 }
 #: Defaults at the time of the first draws, so that later ones can be compared with them.
-FIXED = ("evaluation.every=1", "method.inverse_dynamics.standardise=true")
+FIXED = ("evaluation.every=1", "method.inverse_dynamics.standardize=true")
 BLOCK = 6  # draws; a multiple of each choice's number of values
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar")
 

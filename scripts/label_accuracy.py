@@ -4,7 +4,7 @@
     python scripts/label_accuracy.py mountaincar
 
 It uses sixteen tuning seeds, the first trajectory, §4.1's learning rates and no cloning, so that
-the lines of an environment differ in `method.inverse_dynamics.standardise` only.
+the lines of an environment differ in `method.inverse_dynamics.standardize` only.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ SEEDS = list(range(105, 121))
 UPDATES = {"cartpole": 500, "acrobot": 2000, "mountaincar": 500, "lunarlander": 500}
 
 
-def label_accuracies(env: str, standardise: str) -> np.ndarray:
+def label_accuracies(env: str, standardize: str) -> np.ndarray:
     """Return (S,) shares of the expert's actions that are inferred."""
     config = composed(
         f"env={env}",
         "method=ril",
         f"seeds={SEEDS}",
-        f"method.inverse_dynamics.standardise={standardise}",
+        f"method.inverse_dynamics.standardize={standardize}",
         f"method.inverse_dynamics.updates={UPDATES[env]}",
     )
     cell = prepare(config)
@@ -38,14 +38,14 @@ def label_accuracies(env: str, standardise: str) -> np.ndarray:
 
 
 def main() -> None:
-    """Print a line for each environment and each value of `standardise`."""
+    """Print a line for each environment and each value of `standardize`."""
     environments = sys.argv[1:] or list(UPDATES)
     if not set(environments) <= set(UPDATES):
         sys.exit(__doc__)
     for env in environments:
-        for standardise in ("change", "true", "false"):
-            shares = label_accuracies(env, standardise)
-            print(f"{env} {standardise}: {shares.mean():.2f}, worst seed {shares.min():.2f}")
+        for standardize in ("change", "true", "false"):
+            shares = label_accuracies(env, standardize)
+            print(f"{env} {standardize}: {shares.mean():.2f}, worst seed {shares.min():.2f}")
 
 
 if __name__ == "__main__":

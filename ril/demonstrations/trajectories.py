@@ -38,7 +38,7 @@ class StateTransitions:
 
 
 @dataclass(frozen=True)
-class LabelledTransitions(StateTransitions):
+class LabeledTransitions(StateTransitions):
     """The expert's transitions with its actions, for methods that see the ground truth.
 
     Attributes:
@@ -88,10 +88,10 @@ class Demonstrations:
         """Return the scaled pairs (s_t, s_{t+1}), without actions and returns."""
         return StateTransitions(*self._scaled_pairs(environment), len(self.lengths))
 
-    def labelled(self, environment: Environment) -> LabelledTransitions:
+    def labeled(self, environment: Environment) -> LabeledTransitions:
         """Return the scaled pairs (s_t, s_{t+1}) with the expert's actions."""
         pairs = self._scaled_pairs(environment)
-        return LabelledTransitions(*pairs, len(self.lengths), self.actions.copy())
+        return LabeledTransitions(*pairs, len(self.lengths), self.actions.copy())
 
     def _scaled_pairs(self, environment: Environment) -> tuple[Floats, Floats]:
         """Return (M, obs) scaled states s_t, and (M, obs) their successors s_{t+1}."""

@@ -84,9 +84,9 @@ class SelfSupervisedImitation(Stateful):
                 "succeed"
             )
         inputs = config.inverse_dynamics.inputs
-        if config.inverse_dynamics.standardise == "change" and inputs != "change":
+        if config.inverse_dynamics.standardize == "change" and inputs != "change":
             raise UserError(
-                "method.inverse_dynamics.standardise=change: needs inputs=change, not "
+                "method.inverse_dynamics.standardize=change: needs inputs=change, not "
                 f"inputs={inputs}; true scales all inputs, false none"
             )
         size, actions = environment.observation_size, environment.action_count
@@ -128,7 +128,7 @@ class SelfSupervisedImitation(Stateful):
 
             episodes = environments.play(act, streams.integers(2**31, _PRE_COPIES).ravel())
             self.pre.append(episodes, keep=np.repeat(unfilled, _PRE_COPIES))
-        if self.config.inverse_dynamics.standardise:
+        if self.config.inverse_dynamics.standardize:
             self.inverse_dynamics.standardize(self.pre.everything())
 
     def sample_dataset(self, limit: float) -> Selection:

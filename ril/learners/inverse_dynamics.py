@@ -25,7 +25,7 @@ class InverseDynamicsConfig:
     """M_θ, its training (Alg. 1, line 7) and its labels (line 8)."""
 
     inputs: str = one_of("states", "change")
-    standardise: Any = one_of("change", True, False)  # change, or all inputs: true or false
+    standardize: Any = one_of("change", True, False)  # change, or all inputs: true or false
     learning_rate: float = MISSING
     updates: int = MISSING
     batch_size: int = MISSING
@@ -65,7 +65,7 @@ class InverseDynamics(Stateful):
     def standardize(self, transitions: Batch) -> None:
         """Standardize each seed's inputs by mean and standard deviation of some transitions.
 
-        `standardise=change` standardizes the change only: the states are scaled already, and an
+        `standardize=change` standardizes the change only: the states are scaled already, and an
         expert may visit states far outside of those that random actions reach.
 
         Args:
@@ -75,7 +75,7 @@ class InverseDynamics(Stateful):
         self._mean = features.mean(dim=1, keepdim=True)
         deviation = features.std(dim=1, keepdim=True)
         self._deviation = torch.where(deviation > 0, deviation, torch.ones_like(deviation))
-        if self.config.standardise == "change":
+        if self.config.standardize == "change":
             size = transitions.observations.shape[-1]
             self._mean[..., :size], self._deviation[..., :size] = 0.0, 1.0
 

@@ -18,7 +18,7 @@ class LatentPolicyConfig:
     encoder: list[int] = MISSING
     generator: int = MISSING
     latents: int | None = MISSING
-    changes: str = one_of("raw", "scaled", "standardised")
+    changes: str = one_of("raw", "scaled", "standardized")
     negative_slope: float = at_least(0)
     learning_rate: float = MISSING
     beta1: float = within(0, 0.9999)

@@ -37,7 +37,7 @@ class ACKTRConfig(MethodConfig):
     hidden: list[int] = MISSING
     n_envs: int = MISSING
     n_steps: int = MISSING
-    standardise_steps: int = at_least(0)
+    standardize_steps: int = at_least(0)
     gamma: float = within(0, 1)
     gae_lambda: float = within(0, 1)
     ent_coef: float = at_least(0)
@@ -59,7 +59,7 @@ class ACKTR(Stateful):
         environment, seeds = task.environment, task.seeds
         self.config = config
         self.rollout_steps = config.n_envs * config.n_steps
-        self.random_steps = config.n_envs * config.standardise_steps
+        self.random_steps = config.n_envs * config.standardize_steps
         left = max(1, config.total_timesteps - self.random_steps)
         self.epochs = math.ceil(left / self.rollout_steps)
         size = environment.observation_size
@@ -80,16 +80,16 @@ class ACKTR(Stateful):
     def train(self) -> Iterator[Progress]:
         """A rollout and an update of both networks; yields after each."""
         if self.epoch == 0:
-            self._standardise()
+            self._standardize()
         while self.epoch < self.epochs:
             self.epoch += 1
             metrics = self._update(*self._rollout())
             steps = self.random_steps + self.epoch * self.rollout_steps
             yield Progress.of_rewards(self.epoch, self._seeds, steps, metrics)
 
-    def _standardise(self) -> None:
+    def _standardize(self) -> None:
         """Play random actions, and begin as if their states' mean were 0 and deviation 1."""
-        shape = self.config.standardise_steps, self.config.n_envs
+        shape = self.config.standardize_steps, self.config.n_envs
         chosen = self._random.integers(self._actions, *shape)
         seen = []
         for actions in chosen.swapaxes(0, 1):  # (S, K) at each step
@@ -97,8 +97,8 @@ class ACKTR(Stateful):
             self.environments.step(actions.ravel())
         if len(seen) * self.config.n_envs > 1:
             states = self._by_seed(np.stack(seen))
-            standardise_inputs(self.policy, states)
-            standardise_inputs(self.value, states)
+            standardize_inputs(self.policy, states)
+            standardize_inputs(self.value, states)
 
     def _rollout(self) -> tuple[Floats, NDArray[np.int64], Step]:
         """T = n_steps steps of all S·K environments, with actions of the policy's own chances.
@@ -171,8 +171,8 @@ class ACKTR(Stateful):
 
 
 @torch.no_grad()
-def standardise_inputs(network: Network, states: Tensor) -> None:
-    """Have the first layer answer to a state as it did to that state standardised.
+def standardize_inputs(network: Network, states: Tensor) -> None:
+    """Have the first layer answer to a state as it did to that state standardized.
 
     Args:
         network: of S seeds.

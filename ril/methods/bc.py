@@ -11,7 +11,7 @@ from omegaconf import MISSING
 
 from ril.config.fields import part
 from ril.config.schema import MethodConfig
-from ril.demonstrations.trajectories import LabelledTransitions
+from ril.demonstrations.trajectories import LabeledTransitions
 from ril.learners.cloning import Cloning, CloningConfig
 from ril.learners.topology import NetworkConfig, initial_policy
 from ril.methods.base import Progress
@@ -24,7 +24,7 @@ from ril.vectorized.streams import Streams
 
 @dataclass
 class BCConfig(MethodConfig):
-    """`conf/method/bc.yaml`: behavioural cloning."""
+    """`conf/method/bc.yaml`: behavioral cloning."""
 
     epochs: int = MISSING
     network: NetworkConfig = part(NetworkConfig)
@@ -42,7 +42,7 @@ class BC(Stateful):
     STATE = ("epoch", "policy", "cloning")
 
     def __init__(self, config: BCConfig, task: Task) -> None:
-        assert isinstance(task.expert, LabelledTransitions)
+        assert isinstance(task.expert, LabeledTransitions)
         self.epochs = config.epochs
         seeds = task.seeds
         self.policy = initial_policy(config.network, task)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ril.config.fields import part
 from ril.config.schema import MethodConfig
-from ril.demonstrations.trajectories import LabelledTransitions
+from ril.demonstrations.trajectories import LabeledTransitions
 from ril.environments import Floats
 from ril.learners.discriminator import Discriminator, DiscriminatorConfig, state_action_pairs
 from ril.learners.ppo import PPOAgent, PPOConfig, actor_topology
@@ -46,7 +46,7 @@ class GAIL:
     """
 
     def __init__(self, config: GAILConfig, task: Task) -> None:
-        assert isinstance(task.expert, LabelledTransitions)
+        assert isinstance(task.expert, LabeledTransitions)
         environment, seeds = task.environment, task.seeds
         self.round_steps = config.ppo.n_envs * config.ppo.n_steps
         self.epochs = math.ceil(config.total_timesteps / self.round_steps)

@@ -195,7 +195,7 @@ def _unit_of_changes(name: str, environment: Environment, changes: Tensor) -> Te
     """Return (obs,) the factors on scaled changes (M, obs) before they are predicted (L2)."""
     if name == "raw":
         return torch.from_numpy((environment.high - environment.low) / 2).to(changes)
-    if name == "standardised":
+    if name == "standardized":
         deviation = changes.std(dim=0)
         return torch.where(deviation > 0, 1 / deviation, torch.ones_like(deviation))
     return torch.ones_like(changes[0])

@@ -1,4 +1,4 @@
-"""Proximal Policy Optimisation (Schulman et al., 2017) by Stable-Baselines3."""
+"""Proximal Policy Optimization (Schulman et al., 2017) by Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ScheduledPPOConfig(PPOConfig):
 
 @dataclass
 class PPOMethodConfig(MethodConfig):
-    """`conf/method/ppo.yaml`: proximal policy optimisation."""
+    """`conf/method/ppo.yaml`: proximal policy optimization."""
 
     total_timesteps: int = MISSING
     ppo: ScheduledPPOConfig = part(ScheduledPPOConfig)

@@ -77,4 +77,4 @@ class MethodSpec:
             return StateTransitions.none(environment)
         if self.expert == "states":
             return expert.states(environment)
-        return expert.labelled(environment)
+        return expert.labeled(environment)

@@ -168,7 +168,7 @@ def test_skipped_files_are_named(
         (["table2", "--score", "worst"], r"argument --score: invalid choice: 'worst'.*$"),
         (["--to", "outputs/one/results.csv"], r"--to outputs/one/results.csv: cannot be written"),
         (["curves", "--to", "outputs/one/results.csv"], r"--to .*: cannot be written \(.*\)$"),
-        (["--colour"], r"unrecognized arguments: --colour$"),
+        (["--color"], r"unrecognized arguments: --color$"),
     ],
 )
 def test_a_mistake_is_one_line(

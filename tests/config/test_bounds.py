@@ -58,19 +58,19 @@ BOUNDS = {
     "n": Bounds(1, math.inf),
     **dict.fromkeys(("alpha", "ent_coef", "imitation_weight"), NOT_NEGATIVE),
     **dict.fromkeys(("loss_tolerance", "negative_slope"), NOT_NEGATIVE),
-    **dict.fromkeys(("target_interval", "learning_starts", "standardise_steps"), NOT_NEGATIVE),
+    **dict.fromkeys(("target_interval", "learning_starts", "standardize_steps"), NOT_NEGATIVE),
     **dict.fromkeys(("minimum_return", "minimum_final_reward", "solved_return"), ANY),
     **dict.fromkeys(("expert_return", "observation_low", "observation_high"), ANY),
 }
 CHOICES: dict[str, tuple[Any, ...]] = {
     "kind": ("softmax", "uniform"),
     "inputs": ("states", "change"),
-    "standardise": ("change", True, False),
+    "standardize": ("change", True, False),
     "labels": ("argmax", "sample"),
     "memory": ("run", "epoch", "none"),
     "loss": ("huber", "mse"),
     "reward": ("positive", "negative"),
-    "changes": ("raw", "scaled", "standardised"),
+    "changes": ("raw", "scaled", "standardized"),
     "compile": ("auto", True, False),
 }
 #: Whose values have checks of their own.

@@ -153,7 +153,7 @@ NOT_AS_RIL: dict[str, dict[str, Any]] = {
     "ril_consistent": {
         "exploration.epsilon": 1,
         "exploration.kind": "softmax",
-        "inverse_dynamics.standardise": True,
+        "inverse_dynamics.standardize": True,
         "inverse_dynamics.learning_rate": 1e-3,
         "inverse_dynamics.updates": 100,
         "cloning.updates": (100, 200, 100, 100),

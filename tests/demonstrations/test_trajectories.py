@@ -54,7 +54,7 @@ def test_first_refuses_a_number_out_of_range(
 # --- with and without actions ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("view", ["states", "labelled"])
+@pytest.mark.parametrize("view", ["states", "labeled"])
 def test_a_view_pairs_each_state_with_its_next(
     demonstrations: Demonstrations, mountaincar: Environment, view: str
 ) -> None:
@@ -74,13 +74,13 @@ def test_a_view_knows_the_mean_length(
 def test_labels_are_the_experts_actions(
     demonstrations: Demonstrations, mountaincar: Environment
 ) -> None:
-    assert demonstrations.labelled(mountaincar).actions.tolist() == [2, 1, 0]
+    assert demonstrations.labeled(mountaincar).actions.tolist() == [2, 1, 0]
 
 
 def test_a_method_cannot_relabel_the_file(
     demonstrations: Demonstrations, mountaincar: Environment
 ) -> None:
-    demonstrations.labelled(mountaincar).actions[:] = 0
+    demonstrations.labeled(mountaincar).actions[:] = 0
     assert demonstrations.actions.tolist() == [2, 1, 0]
 
 

@@ -28,7 +28,7 @@ def assert_pairs(
     found: Demonstrations, environment: Environment, pairs: list[tuple[Any, Any, Any]]
 ) -> None:
     """Exactly these (s_t, a_t, s_{t+1}), in this order."""
-    seen = found.labelled(environment)
+    seen = found.labeled(environment)
     for array, column in zip(
         (seen.observations, seen.actions, seen.next_observations), zip(*pairs, strict=True),
         strict=True,

@@ -54,7 +54,7 @@ QUICK_METHODS = {
         "method.total_timesteps=100",  # 20 at random and 4 updates
         "method.n_envs=2",
         "method.n_steps=10",
-        "method.standardise_steps=10",
+        "method.standardize_steps=10",
         "method.actor.eigen_interval=2",
         "method.critic.eigen_interval=2",
     ),

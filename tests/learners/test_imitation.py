@@ -88,7 +88,7 @@ def test_each_transition_of_each_seed_has_a_draw_of_its_own(alike: Any) -> None:
     labels = labels_of(alike)
     share = labels.mean(axis=1)
     for seed in range(3):
-        # Were draws shared, neighbours or seeds would agree more often than by chance.
+        # Were draws shared, neighbors or seeds would agree more often than by chance.
         agree = (labels[seed, 1:] == labels[seed, :-1]).mean()
         assert agree == pytest.approx(share[seed] ** 2 + (1 - share[seed]) ** 2, abs=0.02)
         other = (seed + 1) % 3
@@ -141,6 +141,8 @@ def test_an_environment_without_a_goal_is_refused(make: Make) -> None:
         make("env.goal.minimum_return=null")
 
 
-def test_states_alone_have_no_change_to_standardise(make: Make) -> None:
-    with pytest.raises(UserError, match=r"^method\.inverse_dynamics\.standardise=change: .*inputs=states"):
+def test_states_alone_have_no_change_to_standardize(make: Make) -> None:
+    with pytest.raises(
+        UserError, match=r"^method\.inverse_dynamics\.standardize=change: .*inputs=states"
+    ):
         make("method.inverse_dynamics.inputs=states")

@@ -23,7 +23,7 @@ SEEDS = (0, 1)
 def model(purpose: str = "batches", **changes: object) -> InverseDynamics:
     values = {
         "inputs": "states",
-        "standardise": False,
+        "standardize": False,
         "learning_rate": 0.01,
         "updates": 6,
         "batch_size": 8,
@@ -78,7 +78,7 @@ def test_change_inputs_are_the_state_and_its_change() -> None:
     assert torch.equal(dynamics(before, after), expected)
 
 
-def test_standardised_inputs_have_mean_zero_and_deviation_one() -> None:
+def test_standardized_inputs_have_mean_zero_and_deviation_one() -> None:
     dynamics, batch = model(), random_transitions()
     dynamics.standardize(batch)
     features = torch.cat((batch.observations, batch.next_observations), dim=-1)
@@ -88,8 +88,8 @@ def test_standardised_inputs_have_mean_zero_and_deviation_one() -> None:
     torch.testing.assert_close(found, expected)
 
 
-def test_the_change_alone_can_be_standardised() -> None:
-    dynamics, batch = model(inputs="change", standardise="change"), random_transitions()
+def test_the_change_alone_can_be_standardized() -> None:
+    dynamics, batch = model(inputs="change", standardize="change"), random_transitions()
     dynamics.standardize(batch)
     change = batch.next_observations - batch.observations
     z = (change - change.mean(dim=1, keepdim=True)) / change.std(dim=1, keepdim=True)

@@ -249,9 +249,9 @@ def test_the_actors_greedy_actions_are_sb3s(
     agent = PPOAgent(settings, environment, SEED, normalize=normalize)
     rounds(agent, 4)
     x = np.random.default_rng(0).normal(size=(500, 6)).astype(np.float32)
-    normaliser = agent.model.get_vec_normalize_env()
-    assert (normaliser is not None) is normalize
-    seen = normaliser.normalize_obs(x) if normaliser is not None else x
+    normalizer = agent.model.get_vec_normalize_env()
+    assert (normalizer is not None) is normalize
+    seen = normalizer.normalize_obs(x) if normalizer is not None else x
     expected, _ = agent.model.predict(seen, deterministic=True)
     network = Network(actor_topology(settings, environment), agent.actor()[None])
     np.testing.assert_array_equal(network.greedy(x), expected)

@@ -125,7 +125,7 @@ def prioritized(
 
 @pytest.mark.parametrize("double", [False, True])
 @pytest.mark.parametrize("target_interval", [0, 4])
-def test_prioritised_training_is_that_of_one_agent_per_seed(
+def test_prioritized_training_is_that_of_one_agent_per_seed(
     target_interval: int, double: bool
 ) -> None:
     q_learning, policy = prioritized(config(target_interval=target_interval), double=double)

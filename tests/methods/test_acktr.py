@@ -11,7 +11,7 @@ from helpers.references import PlainKFAC, copies_of, flat_of
 from torch import Tensor, nn
 
 from ril.config.schema import Config
-from ril.methods.acktr import ACKTR, ACKTRConfig, standardise_inputs
+from ril.methods.acktr import ACKTR, ACKTRConfig, standardize_inputs
 from ril.task import Task
 from ril.vectorized.networks import Network
 from ril.vectorized.stepping import SteppedEnvironments
@@ -41,18 +41,18 @@ class Slow:
         self.policy = copies_of(method.policy)[index].double()
         self.value = copies_of(method.value)[index].double()
         drawn = self.random.integers(
-            task.environment.action_count, config.standardise_steps, config.n_envs
+            task.environment.action_count, config.standardize_steps, config.n_envs
         )[0]
         states = []
         for actions in drawn:
             states += list(self.environments.observations)
             self.environments.step(actions)
-        self.standardise(torch.from_numpy(np.stack(states)).double())
+        self.standardize(torch.from_numpy(np.stack(states)).double())
         self.actor = PlainKFAC(self.policy, config.actor)
         self.critic = PlainKFAC(self.value, config.critic)
         self.cut = 0
 
-    def standardise(self, states: Tensor) -> None:
+    def standardize(self, states: Tensor) -> None:
         for module in (self.policy, self.value):
             first = module[0]
             assert isinstance(first, nn.Linear)
@@ -143,7 +143,7 @@ def test_epochs_are_those_of_one_seed_after_the_other(
         "method.hidden=[6,5]",
         "method.ent_coef=0.2",
         "method.gae_lambda=0.9",
-        "method.standardise_steps=100",
+        "method.standardize_steps=100",
         # A trust region and a momentum in which the size of a gradient still shows.
         *("method.actor.kl_clip=10", "method.critic.kl_clip=10"),
         *("method.actor.momentum=0.3", "method.critic.momentum=0.3"),
@@ -192,13 +192,13 @@ def test_a_shorter_run_is_the_beginning_of_a_longer_one(make: Make) -> None:
 
 @pytest.mark.parametrize("steps", [0, 7])
 def test_random_steps_are_samples(make: Make, steps: int) -> None:
-    method, _, config = make(f"method.standardise_steps={steps}")
+    method, _, config = make(f"method.standardize_steps={steps}")
     first = next(iter(method.train()))
     assert first.env_samples.tolist() == [config.n_envs * (steps + config.n_steps)] * 2
     assert first.pre_samples == 0
 
 
-def test_a_standardised_network_answers_as_the_first_did_to_standardised_states(
+def test_a_standardized_network_answers_as_the_first_did_to_standardized_states(
     make: Make,
 ) -> None:
     method, _, _ = make()
@@ -206,15 +206,15 @@ def test_a_standardised_network_answers_as_the_first_did_to_standardised_states(
     random = torch.Generator().manual_seed(0)
     states = 3 + torch.tensor([0.1, 1, 10, 100]) * torch.randn(2, 500, 4, generator=random)
     states[1] *= 2
-    standardise_inputs(method.policy, states)
+    standardize_inputs(method.policy, states)
     deviation = states.std(dim=1, keepdim=True) + 1e-3
     expected = before((states - states.mean(dim=1, keepdim=True)) / deviation)
     torch.testing.assert_close(method.policy(states), expected, rtol=1e-3, atol=1e-4)
 
 
-def test_a_feature_that_never_changes_can_be_standardised(make: Make) -> None:
+def test_a_feature_that_never_changes_can_be_standardized(make: Make) -> None:
     method, _, _ = make()
-    standardise_inputs(method.policy, torch.ones(2, 500, 4))
+    standardize_inputs(method.policy, torch.ones(2, 500, 4))
     assert method.policy.flat.isfinite().all()
 
 

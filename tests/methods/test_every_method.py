@@ -388,7 +388,7 @@ def tells(array: np.ndarray, actions: np.ndarray) -> bool:
 def holds_actions(make: Make, scrambled: tuple[Path, Path], cartpole: Environment) -> Any:
     """Whether a method, before or after training, has the actions that it was not to see."""
     file = scrambled[1]
-    # Random actions: no policy and no label is alike by having learnt something.
+    # Random actions: no policy and no label is alike by having learned something.
     actions = load_demonstrations(file, cartpole).first(1).actions
     assert len(actions) > 25
 

@@ -40,14 +40,14 @@ def halves(method: ILPO) -> tuple[list[LatentActions], list[Remapping]]:
     return latent, remapping
 
 
-UNITS = ("raw", "scaled", "standardised")
+UNITS = ("raw", "scaled", "standardized")
 
 
 def factor_of(task: Task, unit: str) -> Tensor:
     """By what a change of scaled states is multiplied to be in a unit."""
     changes = task.expert.next_observations - task.expert.observations
     half_ranges = [2.4, 3.0, 0.21, 3.0]  # conf/env/cartpole.yaml
-    factors = {"raw": half_ranges, "scaled": [1.0] * 4, "standardised": 1 / changes.std(0, ddof=1)}
+    factors = {"raw": half_ranges, "scaled": [1.0] * 4, "standardized": 1 / changes.std(0, ddof=1)}
     return torch.tensor(np.array(factors[unit], dtype=np.float32))
 
 
@@ -145,10 +145,10 @@ def test_both_halves_are_views_of_the_policy(make: Any) -> None:
         before = method.policy.flat.clone()
         next(epochs)
         changed = method.policy.flat != before
-        learnt, other = changed[:, :border], changed[:, border:]
+        learned, other = changed[:, :border], changed[:, border:]
         if not imitating:
-            learnt, other = other, learnt
-        assert learnt.any(dim=1).all()
+            learned, other = other, learned
+        assert learned.any(dim=1).all()
         assert not other.any()
     assert torch.equal(
         method.policy.flat, torch.cat((method.dynamics.flat, method.remapping.flat), 1)

@@ -34,7 +34,9 @@ def test_an_epoch_is_a_rollout_and_an_update_of_every_agent(
 ) -> None:
     config = quick("method=ppo").method.ppo
     method = make()
-    agents = [PPOAgent(config, cartpole, seed, normalize=True, schedule_steps=256) for seed in (0, 1)]
+    agents = [
+        PPOAgent(config, cartpole, seed, normalize=True, schedule_steps=256) for seed in (0, 1)
+    ]
     for progress in method.train():
         for index, agent in enumerate(agents):
             agent.collect()

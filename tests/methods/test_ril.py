@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ril.io.errors import UserError
 from ril.learners.cloning import Cloning
-from ril.learners.exploration import exploration_ratio, explore, sample_softmax
+from ril.learners.exploration import epsilon_greedy, exploration_ratio, sample_softmax
 from ril.learners.goal_sampler import select
 from ril.learners.inverse_dynamics import InverseDynamics
 from ril.learners.q_learning import QLearning
@@ -105,7 +105,9 @@ class Player:
             with torch.no_grad():
                 values = self.policy(torch.from_numpy(observations)[:, None])
             numbers = uniform[:, step].T[..., None]  # (2, S, 1)
-            return explore(values, torch.from_numpy(epsilon), numbers, self.kind)[:, 0].numpy()
+            return epsilon_greedy(values, torch.from_numpy(epsilon), numbers, self.kind)[
+                :, 0
+            ].numpy()
 
         return self.environments.play(act, self.resets.integers(2**31))
 
@@ -193,7 +195,7 @@ def imitation_alone(
     every_states = states.expand(len(seeds), -1, -1)
     every_next = torch.from_numpy(task.expert.next_observations).expand(len(seeds), -1, -1)
     pre = random_transitions(method, policy)
-    dynamics.standardise(pre.everything())
+    dynamics.standardize(pre.everything())
     pos = Replay(len(seeds), pre.capacity, size, CPU)
     goals = np.zeros(len(seeds))
     for epoch in range(epochs):

@@ -53,7 +53,7 @@ def test_without_reinforcement_it_imitates_as_ril_does(make: Make, make_method: 
         "method.epochs=8",
         "method.exploration.epsilon=1",
         "method.exploration.kind=softmax",
-        "method.inverse_dynamics.standardise=true",
+        "method.inverse_dynamics.standardize=true",
         "method.inverse_dynamics.learning_rate=0.001",
     )
     method, ril = make(*settings), make_method("ril", *settings)

@@ -354,7 +354,7 @@ def test_maps_are_colored_by_action_where_it_is_the_optimal_one() -> None:
     mesh, *_ = panels(action_maps)["RL"].collections
     same = agreement(PUSH, ALL_STATES)
     mesh.update_scalarmappable()
-    expected = np.array([to_rgba(colour) for colour in COLORS])[PUSH.predict(ALL_STATES)]
+    expected = np.array([to_rgba(color) for color in COLORS])[PUSH.predict(ALL_STATES)]
     expected[~same] = 0
     np.testing.assert_allclose(mesh.get_facecolors(), expected, atol=1e-6)
 

@@ -158,7 +158,9 @@ def test_a_run_stopped_on_a_full_disk_says_so_and_resumes_from_the_checkpoint_be
 
     config = cell(output=small_disk / "outputs")
     full = re.escape(f"checkpoint.pt: cannot be written ({FULL})")
-    with pytest.raises(Stopped, match=rf"^stopped after epoch 3; {small_disk}.*{full}; resume with"):
+    with pytest.raises(
+        Stopped, match=rf"^stopped after epoch 3; {small_disk}.*{full}; resume with"
+    ):
         run(config, Script(3, fill_and_stop))
     (small_disk / "filler").unlink()
     display = Script()
@@ -427,7 +429,9 @@ def test_a_run_does_not_resume_with_other_demonstrations(
         run(config, Script(4, interrupt))
     whole = changed(demonstrations)
     said = refusal(config)
-    assert said.startswith(f"demonstrations={demonstrations}: has changed since the stopped run in ")
+    assert said.startswith(
+        f"demonstrations={demonstrations}: has changed since the stopped run in "
+    )
     assert len(list((tmp_path / "outputs" / "cartpole" / "ril").iterdir())) == 1
 
     demonstrations.write_bytes(whole)

@@ -153,7 +153,7 @@ def test_compiled_inverse_dynamics_are_the_eager_ones_but_for_rounding() -> None
             Network.initialize(MLP(8, (8, 8), 2), (3, 5), "inverse dynamics", CPU),
             InverseDynamicsConfig(
                 inputs="change",
-                standardise="change",
+                standardize="change",
                 learning_rate=1e-3,
                 updates=20,
                 batch_size=32,

@@ -127,19 +127,19 @@ def test_an_error_while_an_object_is_made_arrives() -> None:
 
 
 def test_a_worker_that_is_killed_is_one_clear_mistake_and_the_other_ends() -> None:
-    spread_out = spread([1, 2], 2)
-    workers = spread_out.each(process_of)
-    with pytest.raises(UserError, match="a worker process was killed.*processes=1"):
-        spread_out.each(killed)
-    del spread_out
+    pool = spread([1, 2], 2)
+    workers = pool.each(process_of)
+    with pytest.raises(UserError, match=r"a worker process was killed.*processes=1"):
+        pool.each(killed)
+    del pool
     assert all(ends(worker) for worker in workers)
 
 
 def test_workers_end_with_what_they_work_for() -> None:
-    spread_out = spread([1, 2], 2)
-    workers = spread_out.each(process_of)
+    pool = spread([1, 2], 2)
+    workers = pool.each(process_of)
     assert all(runs(worker) for worker in workers)
-    del spread_out
+    del pool
     assert all(ends(worker) for worker in workers)
 
 

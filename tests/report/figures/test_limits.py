@@ -32,7 +32,7 @@ def test_lines_cover_150_epochs() -> None:
     np.testing.assert_array_equal(line(1, "n = 75")[:, 0], np.arange(151))
 
 
-def test_a_line_of_n_is_labelled_at_its_right() -> None:
+def test_a_line_of_n_is_labeled_at_its_right() -> None:
     for text in FIGURE.axes[1].texts:
         x, y = text.get_position()
         (epochs, limit) = line(1, text.get_text()).T
