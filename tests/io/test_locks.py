@@ -195,7 +195,8 @@ def test_without_locks_a_run_warns_and_runs(
     config, display = quick(), Notes()
     config.output_dir = str(tmp_path)
     folder = run(config, display)
-    assert display.lines == [f"{folder}: cannot be locked here; do not run the cell twice at once"]
+    [line] = display.lines
+    assert line.startswith(f"{folder}: this file system has no locks")
     assert (folder / "results.csv").exists()
 
 
@@ -228,7 +229,7 @@ def test_a_run_waits_for_another_process_that_runs_its_cell(
     assert run(config, display) == folder
     [line] = display.lines
     assert line.startswith(f"env=cartpole method=ril: process {holder.pid} on ")
-    assert line.endswith(" runs it already; waiting for its rows")
+    assert line.endswith(" is running this cell; waiting for its rows")
     assert display.skipped == [False]
 
 

@@ -43,7 +43,6 @@ from ril.report.mountaincar import (
     play,
     step,
 )
-from ril.run.record import Record
 from ril.vectorized.networks import MLP
 
 ALL_STATES = cells().reshape(-1, 2)
@@ -259,9 +258,8 @@ def rows(tmp_path: Path, mountaincar: Environment) -> pd.DataFrame:
     """Of a run with two seeds, in an order of their own."""
     architecture = MLP(inputs=2, hidden=(6,), outputs=3)
     network = random_network(architecture, 2)
-    record = Record((3, 8), network.flat)
-    record.best.copy_(-network.flat)
-    save_policies(tmp_path / "policy.pt", mountaincar, architecture, record)
+    best, last = -network.flat, network.flat
+    save_policies(tmp_path / "policy.pt", mountaincar, architecture, (3, 8), best=best, last=last)
     return pd.DataFrame({"seed": [8, 3], "folder": [tmp_path, tmp_path]}, index=[5, 2])
 
 
