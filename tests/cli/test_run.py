@@ -266,7 +266,10 @@ def test_the_configuration_can_be_shown(here: Callable[..., Ended], tmp_path: Pa
 
 @pytest.mark.parametrize(
     "command",
-    [("seeds=1", "compile=false"), ("env=cartpole", "method=ppo", "seeds=2", "processes=2", "evaluation.every=1")],
+    [
+        ("seeds=1", "compile=false"),
+        ("env=cartpole", "method=ppo", "seeds=2", "processes=2", "evaluation.every=1"),
+    ],
     ids=["one process", "with workers"],
 )
 def test_interrupting_a_run_is_one_line(tmp_path: Path, command: tuple[str, ...]) -> None:

@@ -127,6 +127,7 @@ def q_learning_alone(method: Algorithm1, epochs: int, epsilon: float) -> Network
     return policy
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("kind", ["softmax", "uniform"])
 def test_without_imitation_it_is_q_learning_alone(make: Any, kind: str) -> None:
     method = make(
@@ -215,6 +216,7 @@ def imitation_alone(
     return policy, dynamics.network
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("keep_pre", ["true", "false"])
 def test_without_reinforcement_it_is_imitation_alone(make: Any, keep_pre: str) -> None:
     keep = f"method.goal_sampler.keep_pre={keep_pre}"
