@@ -44,7 +44,7 @@ def test_training_changes_everything_that_learns(make: Any) -> None:
     assert not torch.equal(after["policy"]["flat"], before["policy"]["flat"])
     of_cloning, of_rewards = after["cloner"], after["correction"]["q_learning"]
     for part in (after["imitation"]["inverse_dynamics"], of_cloning, of_rewards):
-        assert part["optimizer"]["steps"] > 0
+        assert part["_optimizer"]["steps"] > 0
 
 
 LONG = ("method.epochs=6", "ablation.n=5", "method.stopping.patience=5")
