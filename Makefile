@@ -9,7 +9,7 @@ endif
 endif
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
-.PHONY: help run test quick lint bench docs results install clean
+.PHONY: help run test quick coverage lint bench docs results install clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -22,6 +22,10 @@ test: install ## run all tests, on up to four cores
 
 quick: install ## run the most important tests
 	$(BIN)/pytest --numprocesses=auto --maxprocesses=4 --dist=worksteal -m quick
+
+coverage: install ## run all tests and list the lines and branches that none of them takes
+	$(PIP) pytest-cov
+	$(BIN)/pytest --numprocesses=auto --maxprocesses=4 --dist=worksteal --cov --cov-report=term-missing
 
 lint: install ## check style and types
 	$(BIN)/ruff check .

@@ -14,6 +14,8 @@ from ril.policy import load_policy, save_policies
 from ril.vectorized.latent_networks import ActionRemapping, LatentDynamics, LatentPolicy
 from ril.vectorized.networks import MLP, Architecture, Dueling, Network
 
+pytestmark = pytest.mark.quick
+
 ARCHITECTURE = MLP(inputs=4, hidden=(6,), outputs=2)
 SEEDS = (3, 8)
 RAW = np.random.default_rng(0).normal(size=(50, 4)).astype(np.float32)

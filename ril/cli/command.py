@@ -86,8 +86,9 @@ def _arguments() -> Any:
         given = [each for each in arguments.overrides if re.search(r"[,(]", each)]
         for override in OverridesParser.create().parse_overrides(given):
             if override.is_sweep_override():
-                key = override.get_key_element()
-                raise UserError(f"{key}: several values are a sweep, which needs -m")
+                raise UserError(
+                    f"{override.input_line}: several values are a sweep, which needs -m"
+                )
     return arguments
 
 

@@ -41,7 +41,7 @@ def shell(folder: Path, *command: str) -> Ended:
 
 
 def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
-    """Refused with one line that names the key or file, and nothing written."""
+    """Assert that it was refused in one line that names the key or file, and wrote nothing."""
     assert ended.status == 1
     assert ended.errors.startswith("ril-run: ")
     assert ended.errors.count("\n") == 1
@@ -53,7 +53,7 @@ def assert_one_line(ended: Ended, names: str, folder: Path) -> None:
 
 def test_help_names_every_choice(here: Callable[..., Ended]) -> None:
     choices = here("--help").output.partition("Keys and their values")[0]
-    for group in ("env", "method", "experiment", "ablation", "logging", "fidelity"):
+    for group in ("env", "method", "experiment", "ablation", "logging"):
         [entry] = re.findall(rf"^ *{group}= .*(?:\n {{8,}}.*)*", choices, re.MULTILINE)
         for file in (config_folder() / group).glob("*.yaml"):
             assert re.search(rf"\b{file.stem}\b", entry), file.stem
@@ -69,10 +69,7 @@ def test_a_reader_who_stops_reading_is_no_mistake(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
-@pytest.mark.parametrize(
-    "argument",
-    ["env=nope", "method.nope=1", "ablation.k=0", "seeds=[]", "device=nonsense", "output_dir=f/x"],
-)
+@pytest.mark.parametrize("argument", ["method.nope=1", "output_dir=f/x"])
 def test_a_mistake_is_one_line_of_the_installed_command_too(tmp_path: Path, argument: str) -> None:
     (tmp_path / "f").touch()
     ended = shell(tmp_path, "ril-run", argument)
@@ -187,7 +184,7 @@ def second(
 def test_the_same_command_again_runs_nothing(second: tuple[Ended, bool]) -> None:
     ended, unchanged = second
     assert unchanged
-    assert "finished before, so not run again; resume=false runs it anew" in ended.output
+    assert "already finished; resume=false runs it again" in ended.output
     assert "epoch" not in ended.output.replace("epochs", "")
 
 
@@ -201,7 +198,7 @@ def test_the_same_command_again_shows_the_same_rows(
     assert len(shown(second[0])) == 3
 
 
-def test_without_resume_it_runs_anew_beside(
+def test_without_resume_it_runs_again_in_a_new_folder(
     here: Callable[..., Ended], tmp_path: Path, quick_command: tuple[str, ...]
 ) -> None:
     for _ in range(2):
@@ -238,7 +235,7 @@ def test_the_report_shows_a_run_in_the_papers_setting(
         ("fidelity=paper", False),  # changes nothing on CartPole
     ],
 )
-def test_rows_name_what_sets_their_method_apart(
+def test_rows_name_their_non_default_values(
     here: Callable[..., Ended],
     tmp_path: Path,
     quick_command: tuple[str, ...],
@@ -260,7 +257,7 @@ def test_a_sweep_leaves_a_run_per_cell(
     assert sorted(table["k"].iloc[0] for table in tables) == [1, 3]
 
 
-def test_the_configuration_can_be_looked_at(here: Callable[..., Ended], tmp_path: Path) -> None:
+def test_the_configuration_can_be_shown(here: Callable[..., Ended], tmp_path: Path) -> None:
     ended = here("env=acrobot", "--cfg", "job")
     assert (ended.status, ended.errors) == (0, "")
     assert "id: Acrobot-v1" in ended.output
@@ -269,7 +266,10 @@ def test_the_configuration_can_be_looked_at(here: Callable[..., Ended], tmp_path
 
 @pytest.mark.parametrize(
     "command",
-    [("seeds=1",), ("env=cartpole", "method=ppo", "seeds=2", "processes=2", "evaluation.every=1")],
+    [
+        ("seeds=1", "compile=false"),
+        ("env=cartpole", "method=ppo", "seeds=2", "processes=2", "evaluation.every=1"),
+    ],
     ids=["one process", "with workers"],
 )
 def test_interrupting_a_run_is_one_line(tmp_path: Path, command: tuple[str, ...]) -> None:
@@ -292,7 +292,7 @@ def test_interrupting_a_run_is_one_line(tmp_path: Path, command: tuple[str, ...]
         process.kill()
         process.wait()
     assert process.returncode == 128 + signal.SIGINT
-    said = rf"ril-run: stopped after epoch \d+; go on with ril-run {' '.join(command)}\n"
+    said = rf"ril-run: stopped after epoch \d+; resume with ril-run {' '.join(command)}\n"
     assert re.fullmatch(said, errors)
     assert list(tmp_path.rglob("checkpoint.pt"))
     assert not list(tmp_path.rglob("results.csv"))

@@ -14,6 +14,8 @@ from ril.learners.exploration import Explorer, epsilon_greedy, exploration_ratio
 from ril.task import Task
 from ril.vectorized.networks import MLP, Network
 
+pytestmark = pytest.mark.quick
+
 BELOW_ONE = 1 - 2**-24  # the largest number that a stream's uniform numbers reach
 
 

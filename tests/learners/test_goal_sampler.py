@@ -13,6 +13,8 @@ from ril.learners.goal_sampler import choose_per_action, positive_limit, select
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 
+pytestmark = pytest.mark.quick
+
 epochs = st.integers(0, 400) | st.floats(0, 400)
 lengths = st.integers(1, 300) | st.floats(1, 300)
 slopes = st.floats(0.05, 500)

@@ -13,6 +13,8 @@ from ril.vectorized.networks import MLP
 from ril.vectorized.replay import Batch
 from ril.vectorized.rollout import Episodes
 
+pytestmark = pytest.mark.quick
+
 ARCHITECTURE = MLP(inputs=2, hidden=(6,), outputs=3)
 S, B = 2, 5
 

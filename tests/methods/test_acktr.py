@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -221,39 +220,3 @@ def test_a_feature_that_never_changes_can_be_standardized(make: Make) -> None:
 def test_actor_and_critic_have_their_own_steps(make: Make) -> None:
     method, _, _ = make("method.critic.learning_rate=0.1")
     assert (method.actor.config.learning_rate, method.critic.config.learning_rate) == (0.25, 0.1)
-
-
-#: Stable-Baselines 2's values, but for the steps, which are the paper's (§5.3).
-PUBLISHED = {
-    "total_timesteps": 2_000_000,
-    "hidden": [64, 64],
-    "gamma": 0.99,
-    "actor.learning_rate": 0.25,
-    "actor.kl_clip": 0.001,
-    "actor.momentum": 0.9,
-    "actor.damping": 0.01,
-    "actor.stats_decay": 0.99,
-}
-
-
-@pytest.mark.parametrize("env", ["cartpole", "acrobot", "mountaincar", "lunarlander"])
-@pytest.mark.parametrize("key", PUBLISHED)
-def test_what_stable_baselines_sets_is_the_default(compose: Any, env: str, key: str) -> None:
-    method = compose(f"env={env}", "method=acktr").method
-    assert reduce(getattr, key.split("."), method) == PUBLISHED[key]
-
-
-@pytest.mark.parametrize(
-    ("env", "copies", "steps", "entropy"),
-    [
-        ("cartpole", 8, 20, 0.0),
-        ("acrobot", 16, 20, 0.01),
-        ("mountaincar", 16, 20, 0.01),
-        ("lunarlander", 8, 128, 0.01),
-    ],
-)
-def test_what_differs_by_environment(
-    compose: Any, env: str, copies: int, steps: int, entropy: float
-) -> None:
-    method = compose(f"env={env}", "method=acktr").method
-    assert (method.n_envs, method.n_steps, method.ent_coef) == (copies, steps, entropy)

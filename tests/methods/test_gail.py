@@ -111,11 +111,6 @@ def test_expert_samples_count_the_expert_once_per_round(make: Any) -> None:
     assert found == [[count * (index + 1)] * 2 for index in range(4)]
 
 
-def test_the_discriminator_has_two_layers_of_100(compose: Any) -> None:
-    method = compose("env=cartpole", "method=gail").method
-    assert method.discriminator.hidden == method.ppo.hidden == [100, 100]
-
-
 @pytest.mark.parametrize(
     ("env", "kind"),
     [

@@ -11,7 +11,6 @@ from helpers.states import assert_equal_states, copied
 
 from ril.config.schema import Config
 from ril.environments import Environment
-from ril.io.errors import UserError
 from ril.learners.ppo import PPOAgent
 from ril.methods.gail import GAIL
 from ril.methods.ppo import PPO
@@ -68,10 +67,10 @@ def test_the_policy_grows_surer_as_its_entropy_falls(make: Make) -> None:
     assert (last.metrics["entropy"] < first.metrics["entropy"]).all()
 
 
-@pytest.mark.parametrize("method", [PPO, GAIL])
-def test_two_processes_give_what_one_does(make: Make, method: type) -> None:
+def test_two_processes_give_what_one_does(make: Make) -> None:
+    """Of GAIL, whose agents do all that PPO's do, and are paid by the discriminator."""
     seeds = "seeds=[3,5,9]"
-    one, two = (make(seeds, method=method, processes=count) for count in (1, 2))
+    one, two = (make(seeds, method=GAIL, processes=count) for count in (1, 2))
     for expected, found in zip(one.train(), two.train(), strict=True):
         assert torch.equal(two.policy.flat, one.policy.flat)
         for name, values in expected.metrics.items():
@@ -82,11 +81,6 @@ def test_two_processes_give_what_one_does(make: Make, method: type) -> None:
     two.load_state_dict(middle)
     assert [progress.epoch for progress in two.train()] == [3, 4]
     assert_equal_states(copied(two.state_dict()), copied(one.state_dict()))
-
-
-def test_minibatches_that_do_not_fit_a_rollout_are_refused_by_a_worker_too(make: Make) -> None:
-    with pytest.raises(UserError, match=r"^method\.ppo\.batch_size=48: must be above 1 and divide"):
-        make("method.ppo.batch_size=48", processes=2)
 
 
 # RL Baselines3 Zoo, hyperparams/ppo.yml; Stable-Baselines3's defaults where that says nothing.
@@ -105,8 +99,3 @@ def test_hyperparameters_are_the_zoos(compose: Any, env: str) -> None:
     keys = ("n_envs", "n_steps", "batch_size", "n_epochs", "learning_rate", "gamma", "gae_lambda")
     keys = (*keys, "clip_range", "ent_coef", "normalize", "linear_schedule")
     assert found == dict(zip(keys, ZOO[env], strict=True))
-
-
-@pytest.mark.parametrize("env", ZOO)
-def test_the_budget_is_the_papers(compose: Any, env: str) -> None:
-    assert compose(f"env={env}", "method=ppo").method.total_timesteps == 2_000_000  # §5.3

@@ -142,17 +142,17 @@ def test_it_remembers_its_own_episodes(make: Make, monkeypatch: pytest.MonkeyPat
     learning, config = learning_of(method), method.config.q_learning
     expected = Replay(2, learning.replay.capacity, 4, CPU)
     for episodes in own:
-        expected.append(n_step(episodes, config.n_steps, config.discount, learning.unit.numpy()))
+        expected.append(n_step(episodes, config.n_steps, config.discount, learning.reward_scale.numpy()))
     assert learning.replay.sizes.tolist() == expected.sizes.tolist()
     for seed in range(2):
         assert all(map(torch.equal, stored(learning.replay, seed), stored(expected, seed)))
 
 
 def test_rewards_are_in_units_of_those_of_the_first_episodes(make: Make) -> None:
-    assert learning_of(make()).unit.tolist() == [0.0, 0.0]  # not known yet
+    assert learning_of(make()).reward_scale.tolist() == [0.0, 0.0]  # not known yet
     method = make()
     trained(method)
-    assert learning_of(method).unit.tolist() == [1.0, 1.0]  # CartPole pays 1 for each step
+    assert learning_of(method).reward_scale.tolist() == [1.0, 1.0]  # CartPole pays 1 for each step
 
 
 @pytest.fixture

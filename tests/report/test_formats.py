@@ -65,6 +65,7 @@ def texts() -> dict[str, str]:
     }
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize("name", ["tables.md", "tables.csv", "tables.tex", "table4_last.md"])
 def test_the_fixed_rows_give_exactly_these_tables(name: str) -> None:
     assert texts()[name] == (GOLDEN / name).read_text(encoding="utf-8")

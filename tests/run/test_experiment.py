@@ -320,6 +320,7 @@ def test_an_interrupted_run_resumes_from_its_checkpoint(
     assert epochs.seen == [5, 6]
 
 
+@pytest.mark.quick
 @pytest.mark.parametrize(
     "overrides", [(), ("method.stopping.patience=3", "method.goal_sampler.memory=epoch")]
 )

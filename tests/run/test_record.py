@@ -10,6 +10,8 @@ import torch
 from ril.methods.base import Progress
 from ril.run.record import Record
 
+pytestmark = pytest.mark.quick
+
 SEEDS = (3, 8)
 ALL = np.array([True, True])
 

@@ -20,6 +20,8 @@ from ril.vectorized.networks import (
     self_attention,
 )
 
+pytestmark = pytest.mark.quick
+
 CPU = torch.device("cpu")
 FULL = MLP(inputs=3, hidden=(8, 5), outputs=2)
 PLAIN = dataclasses.replace(FULL, attention=False, layer_norm=False)
