@@ -142,7 +142,9 @@ def test_it_remembers_its_own_episodes(make: Make, monkeypatch: pytest.MonkeyPat
     learning, config = learning_of(method), method.config.q_learning
     expected = Replay(2, learning.replay.capacity, 4, CPU)
     for episodes in own:
-        expected.append(n_step(episodes, config.n_steps, config.discount, learning.reward_scale.numpy()))
+        expected.append(
+            n_step(episodes, config.n_steps, config.discount, learning.reward_scale.numpy())
+        )
     assert learning.replay.sizes.tolist() == expected.sizes.tolist()
     for seed in range(2):
         assert all(map(torch.equal, stored(learning.replay, seed), stored(expected, seed)))
