@@ -11,13 +11,13 @@ import pytest
 import torch
 from helpers.runs import (
     CARTPOLE,
-    QUICK_METHODS,
     QUICK_RUN,
     RULES,
     Ended,
     Silence,
     composed,
     follow_rule,
+    quick_method,
 )
 from hydra.core.global_hydra import GlobalHydra
 from hypothesis import settings
@@ -86,7 +86,7 @@ def quick(compose: Compose, demonstration_files: dict[str, Path]) -> Compose:
 
     def quickly(*overrides: str) -> Config:
         named = [each.removeprefix("method=") for each in overrides if each.startswith("method=")]
-        settings = QUICK_METHODS[named[-1] if named else "ril"]
+        settings = quick_method(named[-1] if named else "ril")
         config = compose(*QUICK_RUN, *settings, *CARTPOLE, *overrides)
         if config.demonstrations is None:
             config.demonstrations = str(demonstration_files[config.env.name])

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import hydra
 import numpy as np
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from ril.cli.configuration import store_schemas
 from ril.config.schema import Config
@@ -27,83 +28,70 @@ QUICK_RUN = (
     "evaluation.every=2",
     "processes=1",  # others take seconds to start
 )
-QUICK_CLONING = ("method.epochs=3", "method.cloning.updates=4", "method.cloning.batch_size=16")
-QUICK_IMITATION = (
-    *QUICK_CLONING,
-    "method.goal_sampler.pre_steps_per_action=60",
-    "method.inverse_dynamics.updates=4",
-    "method.inverse_dynamics.batch_size=16",
-)
-QUICK_Q_LEARNING = (
-    "method.total_timesteps=60",
-    "method.q_learning.learning_starts=10",
-    "method.q_learning.train_freq=4",
-    "method.q_learning.updates=2",
-    "method.q_learning.batch_size=16",
-    "evaluation.every=50%",  # a method of steps has an epoch for each
-)
-QUICK_DQN = (
-    *QUICK_Q_LEARNING,
-    "method.q_learning.target_interval=5",
-    "method.q_learning.replay.capacity=40",  # so that the oldest transitions give way
-    "method.exploration.steps=40",
-)
-#: … and by method.
-QUICK_METHODS = {
-    "acktr": (
-        "method.total_timesteps=100",  # 20 at random and 4 updates
-        "method.n_envs=2",
-        "method.n_steps=10",
-        "method.standardize_steps=10",
-        "method.actor.eigen_interval=2",
-        "method.critic.eigen_interval=2",
-    ),
-    "bc": QUICK_CLONING,
-    "dqn": QUICK_DQN,
-    "dqn_prioritized": QUICK_DQN,
-    "gail": (
-        "method.total_timesteps=256",  # 4 rounds
-        "method.discriminator.batch_size=16",
-        "method.ppo.n_envs=2",
-        "method.ppo.n_steps=32",
-        "method.ppo.batch_size=16",
-        "method.ppo.n_epochs=2",
-    ),
-    "ilpo": (
-        "method.epochs=2",
-        "method.latent_policy.updates=4",
-        "method.latent_policy.batch_size=16",
-        "method.remapping.steps=20",
-        "method.remapping.steps_per_epoch=10",
-        "method.remapping.batch_size=16",
-    ),
-    "iupe": (*QUICK_IMITATION, "method.episodes=2"),
-    "ppo": (
-        "method.total_timesteps=256",  # 4 rollouts
-        "method.ppo.n_envs=2",
-        "method.ppo.n_steps=32",
-        "method.ppo.batch_size=16",
-        "method.ppo.n_epochs=2",
-        "method.ppo.normalize=true",
-        "method.ppo.linear_schedule=true",
-    ),
-    "ril": (
-        *QUICK_IMITATION,
-        "method.q_learning.target_interval=5",
-        "method.q_learning.updates=4",
-        "method.q_learning.batch_size=16",
-    ),
-    "ril_consistent": (
-        *QUICK_IMITATION,
-        "method.q_learning.updates=4",
-        "method.q_learning.batch_size=16",
-        "method.q_learning.value_hidden=[6]",
-        "method.q_learning.min_confidence=0.6",  # of what M_θ learns in so short a run: some labels
-    ),
-    "ril_sequential": (*QUICK_IMITATION, *QUICK_Q_LEARNING),
+#: … and the values of a method's keys, by the end of the key, or by method and key where a test
+#: needs another; a method that is not named here has these values too.
+_SMALL: dict[str, object] = {
+    "epochs": 3,
+    "total_timesteps": 60,
+    "updates": 4,
+    "batch_size": 16,
+    "pre_steps_per_action": 60,
+    "target_interval": 5,
+    "learning_starts": 10,
+    "train_freq": 4,
+    "replay.capacity": 40,  # so that the oldest transitions give way
+    "exploration.steps": 40,
+    "remapping.steps": 20,
+    "steps_per_epoch": 10,
+    "n_envs": 2,
+    "ppo.n_steps": 32,
+    "n_epochs": 2,
+    "normalize": True,
+    "linear_schedule": True,
+    "standardize_steps": 10,
+    "eigen_interval": 2,
+    "value_hidden": [6],
+    "min_confidence": 0.6,  # some of the labels of an M_θ that has hardly been trained
+    "acktr n_steps": 10,
+    "acktr total_timesteps": 100,  # 20 at random and 4 updates
+    "dqn q_learning.updates": 2,
+    "dqn_prioritized q_learning.updates": 2,
+    "gail total_timesteps": 256,  # 4 rounds
+    "gail discriminator.updates": None,
+    "ilpo epochs": 2,
+    "iupe episodes": 2,
+    "ppo total_timesteps": 256,  # 4 rollouts
+    "ril_consistent target_interval": None,
+    "ril_sequential q_learning.updates": 2,
+    "ril_sequential replay.capacity": None,
+    "ril_sequential target_interval": None,
 }
-#: A run of RIL of a second.
-QUICK = (*QUICK_RUN, *QUICK_METHODS["ril"])
+
+
+@cache
+def quick_method(name: str) -> tuple[str, ...]:
+    """The overrides that make a run of any method one of a second; None leaves the default."""
+    keys = [key for key, _ in _leaves(OmegaConf.to_container(composed(f"method={name}").method))]
+    found = {}
+    for key in keys:
+        ends = [".".join(key.split(".")[start:]) for start in range(key.count(".") + 1)]
+        for end in (*(f"{name} {end}" for end in ends), *ends):
+            if end in _SMALL:
+                found[key] = _SMALL[end]
+                break
+    by_steps = ("evaluation.every=50%",) if "total_timesteps" in found else ()
+    small = (f"method.{key}={value}" for key, value in found.items() if value is not None)
+    return (*small, *by_steps)
+
+
+def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(node, dict):
+        for name, child in node.items():
+            yield from _leaves(child, f"{key}.{name}" if key else name)
+    else:
+        yield key, node
+
+
 #: CartPole with a goal that some of an untrained policy's episodes reach, and others do not.
 CARTPOLE = ("env=cartpole", "env.goal.minimum_return=11", "ablation.n=4")
 
@@ -162,3 +150,7 @@ class Ended:
     status: int
     output: str
     errors: str
+
+
+#: A run of RIL of a second.
+QUICK = (*QUICK_RUN, *quick_method("ril"))
