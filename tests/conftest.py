@@ -11,6 +11,7 @@ import pytest
 import torch
 from helpers.runs import (
     CARTPOLE,
+    QUICK_BUDGETS,
     QUICK_METHODS,
     QUICK_RUN,
     RULES,
@@ -86,7 +87,7 @@ def quick(compose: Compose, demonstration_files: dict[str, Path]) -> Compose:
 
     def quickly(*overrides: str) -> Config:
         named = [each.removeprefix("method=") for each in overrides if each.startswith("method=")]
-        settings = QUICK_METHODS[named[-1] if named else "ril"]
+        settings = QUICK_METHODS.get(named[-1] if named else "ril", QUICK_BUDGETS)
         config = compose(*QUICK_RUN, *settings, *CARTPOLE, *overrides)
         if config.demonstrations is None:
             config.demonstrations = str(demonstration_files[config.env.name])

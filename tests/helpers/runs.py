@@ -48,7 +48,8 @@ QUICK_DQN = (
     "method.q_learning.replay.capacity=40",  # so that the oldest transitions give way
     "method.exploration.steps=40",
 )
-#: … and by method.
+#: … and by method; of a method that is not here, its budget alone.
+QUICK_BUDGETS = ("quick={epochs: 3, total_timesteps: 60}",)
 QUICK_METHODS = {
     "acktr": (
         "method.total_timesteps=100",  # 20 at random and 4 updates
