@@ -49,7 +49,7 @@ class Slow:
         self.standardize(torch.from_numpy(np.stack(states)).double())
         self.actor = PlainKFAC(self.policy, config.actor)
         self.critic = PlainKFAC(self.value, config.critic)
-        self.cut = 0
+        self.truncations = 0
 
     def standardize(self, states: Tensor) -> None:
         for module in (self.policy, self.value):
@@ -90,7 +90,7 @@ class Slow:
                 chances = self.policy(states[-1]).softmax(dim=-1).cumsum(dim=-1)
             chosen.append([int((row <= u).sum()) for row, u in zip(chances, drawn, strict=True)])
             steps.append(self.environments.step(np.array(chosen[-1])))
-            self.cut += int(steps[-1].truncated.sum())
+            self.truncations += int(steps[-1].truncated.sum())
         x, actions = torch.stack(states), torch.tensor(chosen)
         rewards = np.stack([step.rewards for step in steps])
         values = self.value(x)[..., 0]
@@ -103,12 +103,12 @@ class Slow:
             x.flatten(0, 1), loss, lambda out, i: (out[0] - out[0].detach() + 1) ** 2 / 2
         )
 
-        flat, taken = x.flatten(0, 1), actions.flatten()
+        flat, chosen_actions = x.flatten(0, 1), actions.flatten()
         log_chances = self.policy(flat).log_softmax(dim=-1)
-        log_taken = log_chances[torch.arange(len(flat)), taken]
+        log_probs_of_actions = log_chances[torch.arange(len(flat)), chosen_actions]
         entropy = -(log_chances.exp() * log_chances).sum(dim=-1).mean()
-        loss = -(log_taken * advantages).mean() - config.ent_coef * entropy
-        self.actor.step(flat, loss, lambda out, i: -out.log_softmax(dim=-1)[taken[i]])
+        loss = -(log_probs_of_actions * advantages).mean() - config.ent_coef * entropy
+        self.actor.step(flat, loss, lambda out, i: -out.log_softmax(dim=-1)[chosen_actions[i]])
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def in_double_precision() -> Any:
 
 TASKS = {
     "cartpole": ("method.n_steps=24", "method.total_timesteps=300"),
-    # Whose episodes are cut after 200 steps.
+    # Whose episodes are truncated after 200 steps.
     "mountaincar": ("method.n_steps=40", "method.total_timesteps=440"),
 }
 
@@ -167,7 +167,7 @@ def test_epochs_are_those_of_one_seed_after_the_other(
             assert (error < 0.01 * size.norm(dim=1)).all()
         before = expected
     if env == "mountaincar":
-        assert all(each.cut == config.n_envs for each in slow)
+        assert all(each.truncations == config.n_envs for each in slow)
 
 
 @pytest.mark.parametrize(("steps", "epochs"), [(220, 5), (221, 6), (1, 1)])

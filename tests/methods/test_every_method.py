@@ -118,7 +118,7 @@ def alone_and_among(request: pytest.FixtureRequest, name: str, make: Make) -> An
     """Seed 5 alone, and between seeds 3 and 9, with their progress."""
     runs = []
     for seeds in ("[5]", "[3,5,9]"):
-        method = make(name, *ENVIRONMENTS[request.param], *SIZES[name], f"seeds={seeds}")
+        method = make(name, *ENVIRONMENTS[request.param], *SIZES.get(name, ()), f"seeds={seeds}")
         runs.append((method, trained(method)))
     return runs
 
@@ -282,19 +282,19 @@ def test_run_id_depends_on_the_trajectories_where_they_are_seen(name: str, quick
 
 
 def episodes_with(
-    actions: np.random.Generator | None, file: Path, environment: Any
+    numbers: np.random.Generator | None, file: Path, environment: Any
 ) -> list[Episode]:
     """The trajectories of a file, with their actions or with others that are valid."""
     kept = load_demonstrations(file, environment)
     episodes, start = [], 0
     for index, length in enumerate(kept.lengths.tolist()):
         states = kept.observations[start + index : start + index + length + 1]
-        taken = kept.actions[start : start + length]
-        if actions is not None:
-            taken = actions.integers(environment.action_count, size=length)
+        actions = kept.actions[start : start + length]
+        if numbers is not None:
+            actions = numbers.integers(environment.action_count, size=length)
         start += length
         rewards = np.ones(length, dtype=np.float32)
-        episodes.append(Episode(index, states, taken, rewards, True))
+        episodes.append(Episode(index, states, actions, rewards, True))
     return episodes
 
 
@@ -481,8 +481,8 @@ def test_where_states_are_shown_they_are_found(holds_states: Any, name: str) -> 
 def test_another_expert_changes_nothing(make: Make, name: str, tmp_path: Path) -> None:
     other = tmp_path / "other.npz"
     states = np.random.default_rng(0).uniform(-0.1, 0.1, size=(31, 4)).astype(np.float32)
-    taken, rewards = np.arange(30) % 2, np.ones(30, dtype=np.float32)
-    save(other, [Episode(0, states, taken, rewards, True)])
+    actions, rewards = np.arange(30) % 2, np.ones(30, dtype=np.float32)
+    save(other, [Episode(0, states, actions, rewards, True)])
     found, expected = make(name, f"demonstrations={other}"), make(name)
     assert_same_progress(trained(found), trained(expected))
     assert torch.equal(found.policy.flat, expected.policy.flat)

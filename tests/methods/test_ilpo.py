@@ -52,7 +52,7 @@ def factor_of(task: Task, unit: str) -> Tensor:
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_the_latent_policy_is_learnt_as_by_one_network_per_seed(make: Any, unit: str) -> None:
+def test_the_latent_policy_is_trained_as_by_one_network_per_seed(make: Any, unit: str) -> None:
     method = make(*SMALL, f"method.latent_policy.changes={unit}")
     modules, _ = halves(method)
     epochs = method.train()
@@ -80,7 +80,7 @@ def test_the_latent_policy_is_learnt_as_by_one_network_per_seed(make: Any, unit:
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_the_remapping_is_learnt_as_by_one_agent_per_seed(make: Any, unit: str) -> None:
+def test_the_remapping_is_trained_as_by_one_agent_per_seed(make: Any, unit: str) -> None:
     # Enough of the latent policy that more than one latent action explains what happens.
     method = make(
         *SMALL,
@@ -104,7 +104,7 @@ def test_the_remapping_is_learnt_as_by_one_agent_per_seed(make: Any, unit: str) 
     for seed, (knows, remap) in enumerate(zip(latent, remapping, strict=True)):
         stepped = SteppedEnvironments(environment, [seeds[seed]], 1, "remapping")
         optimizer = torch.optim.Adam(remap.parameters(), lr=2e-3)
-        states, labels, taken = [], [], []
+        states, labels, actions = [], [], []
         for epoch, (uniform, chosen) in enumerate(drawn):
             total = 0.0
             for step in range(10):
@@ -120,17 +120,17 @@ def test_the_remapping_is_learnt_as_by_one_agent_per_seed(make: Any, unit: str) 
                 distances = [(change - knows.change(state, z)).norm() for z in range(3)]
                 states.append(state[0])
                 labels.append(int(torch.stack(distances).argmin()))
-                taken.append(action)
+                actions.append(action)
                 at = (chosen[seed, step] * len(states)).astype(int)
                 logits = remap(torch.stack(states)[at], torch.tensor(labels)[at])
-                loss = functional.cross_entropy(logits, torch.tensor(taken)[at])
+                loss = functional.cross_entropy(logits, torch.tensor(actions)[at])
                 total += loss.item() / 10
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
             assert losses[epoch][seed] == pytest.approx(total, rel=1e-3)
         explained |= set(labels)
-        acted |= set(taken)
+        acted |= set(actions)
         found = method.remapping.flat[seed]
         torch.testing.assert_close(found, linear_flat_of(remap), rtol=1e-3, atol=1e-4)
     assert len(explained) > 1

@@ -54,7 +54,7 @@ def test_rollouts_are_as_many_as_the_steps_need(make: Make, steps: int, rollouts
     assert samples == [[64 * (index + 1)] * 2 for index in range(rollouts)]
 
 
-def test_nothing_of_an_expert_is_learnt_from(make: Make) -> None:
+def test_no_expert_is_used(make: Make) -> None:
     for progress in make().train():
         assert progress.expert_samples.tolist() == [0, 0]
         assert progress.pre_samples == 0

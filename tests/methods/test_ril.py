@@ -317,7 +317,7 @@ def test_a_fixed_epsilon_is_kept(make: Any) -> None:
     assert all(each.metrics["epsilon"].tolist() == [0.25, 0.25] for each in progress)
 
 
-def test_epsilon_is_otherwise_the_policys_own(make: Any) -> None:
+def test_epsilon_is_the_policys_own_by_default(make: Any) -> None:
     found = np.array([each.metrics["epsilon"] for each in trained(make())])
     assert ((found > 0) & (found < 1)).all()
     assert len(np.unique(found)) > 1

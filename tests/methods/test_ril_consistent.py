@@ -159,7 +159,7 @@ def test_rewards_are_in_units_of_those_of_the_first_episodes(make: Make) -> None
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """What the learner's training is given, and what it answers; it goes on as usual."""
+    """What the learner's training is given, and what it answers; it then trains as usual."""
     recorded: list[dict[str, Any]] = []
     train = ConsistentLearning.train
 

@@ -387,8 +387,8 @@ def test_a_clock_that_jumps_changes_nothing(
     jump = Script(2, lambda: monkeypatch.setattr(time, "time", lambda: now() + seconds))
     began = time.monotonic()
     folder = run(cell(), jump)
-    taken = pd.read_csv(folder / "results.csv")["wall_seconds"]
-    assert taken.between(0, time.monotonic() - began).all()
+    wall = pd.read_csv(folder / "results.csv")["wall_seconds"]
+    assert wall.between(0, time.monotonic() - began).all()
     assert left_by(folder) == expected
 
 
@@ -402,8 +402,8 @@ def test_the_seconds_of_all_starts_are_added(cell: Cell, monkeypatch: pytest.Mon
     with pytest.raises(KeyboardInterrupt):
         run(cell(), Script(2, later))
     monkeypatch.setattr(time, "monotonic", now)
-    taken = pd.read_csv(run(cell(), Silence()) / "results.csv")["wall_seconds"]
-    assert taken.between(1000, 1100).all()
+    wall = pd.read_csv(run(cell(), Silence()) / "results.csv")["wall_seconds"]
+    assert wall.between(1000, 1100).all()
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ def record() -> Record:
     return Record(SEEDS, parameters(0))
 
 
-def look(record: Record, epoch: int, *aer: float) -> None:
+def evaluate(record: Record, epoch: int, *aer: float) -> None:
     record.advance(progress(epoch), parameters(epoch))
     record.evaluated(np.array(aer), ALL, {})
 
@@ -42,10 +42,10 @@ def test_last_is_the_latest_policy(record: Record) -> None:
     assert torch.equal(record.last, parameters(2))
 
 
-def test_best_is_the_policy_of_the_best_look(record: Record) -> None:
-    look(record, 1, -150.0, -120.0)
-    look(record, 2, -110.0, -130.0)
-    look(record, 3, -140.0, -125.0)
+def test_best_is_the_policy_of_the_best_evaluation(record: Record) -> None:
+    evaluate(record, 1, -150.0, -120.0)
+    evaluate(record, 2, -110.0, -130.0)
+    evaluate(record, 3, -140.0, -125.0)
     assert record.best.flatten().tolist() == [12.0, 21.0]
     assert record.best_epoch.tolist() == [2, 1]
     assert record.best_aer.tolist() == [-110.0, -120.0]
@@ -53,19 +53,19 @@ def test_best_is_the_policy_of_the_best_look(record: Record) -> None:
 
 def test_the_first_of_equals_is_best(record: Record) -> None:
     for epoch in (1, 2):
-        look(record, epoch, -200.0, -200.0)
+        evaluate(record, epoch, -200.0, -200.0)
     assert record.best_epoch.tolist() == [1, 1]
 
 
 def test_samples_to_best_are_environments_and_experts_until_then(record: Record) -> None:
-    look(record, 1, -150.0, -120.0)
-    look(record, 2, -110.0, -130.0)
+    evaluate(record, 1, -150.0, -120.0)
+    evaluate(record, 2, -110.0, -130.0)
     assert record.samples_to_best.tolist() == [2 * 100 + 2 * 7, 200 + 7]
 
 
-def test_the_curve_has_a_point_per_seed_and_look(record: Record) -> None:
-    look(record, 1, -150.0, -120.0)
-    look(record, 2, -110.0, -130.0)
+def test_the_curve_has_a_point_per_seed_and_evaluation(record: Record) -> None:
+    evaluate(record, 1, -150.0, -120.0)
+    evaluate(record, 2, -110.0, -130.0)
     found = [(point.seed, point.epoch, point.samples, point.aer) for point in record.curve]
     assert found == [
         (3, 1, 107, -150.0),
@@ -81,7 +81,7 @@ def test_the_curve_keeps_each_seeds_diagnostics(record: Record) -> None:
     assert [point.metrics["epsilon"] for point in record.curve] == [0.5, 0.25]
 
 
-def test_a_look_counts_for_its_seeds_only(record: Record) -> None:
+def test_an_evaluation_counts_for_its_seeds_only(record: Record) -> None:
     record.advance(progress(1), parameters(1))
     record.evaluated(np.array([5.0, 6.0]), np.array([False, True]), {})
     assert [point.seed for point in record.curve] == [8]
@@ -117,7 +117,7 @@ def test_the_epoch_of_the_stop_still_counts(record: Record) -> None:
     assert record.epochs.tolist() == [1, 1]
 
 
-def test_a_saved_record_goes_on_alike(record: Record) -> None:
+def test_a_restored_record_continues_alike(record: Record) -> None:
     record.advance(progress(1), parameters(1))
     record.evaluated(np.array([-150.0, -120.0]), ALL, {"epsilon": np.array([0.5, 0.25])})
     record.advance(progress(2, (False, True)), parameters(2))
@@ -133,7 +133,7 @@ def test_a_saved_record_goes_on_alike(record: Record) -> None:
     assert repr(resumed.state_dict()) == repr(record.state_dict())
 
 
-def test_a_look_that_may_not_win_is_of_the_curve_only(record: Record) -> None:
+def test_an_evaluation_that_may_not_be_best_is_of_the_curve_only(record: Record) -> None:
     record.advance(progress(1), parameters(1))
     record.evaluated(np.array([-90.0, -90.0]), ALL, {}, may_be_best=False)
     record.advance(progress(2), parameters(2))
