@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -14,11 +13,18 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from ril.config.fields import check
-from ril.config.schema import Config
+from ril.config.schema import AblationConfig, Config, EnvironmentConfig, EvaluationConfig
 from ril.io.errors import UserError
 from ril.io.paths import config_folder
 
 T = TypeVar("T")
+#: Keys below a group that may be given without its name by mistake.
+_NESTED = (
+    *(f"env.{field.name}" for field in fields(EnvironmentConfig)),
+    *(f"ablation.{field.name}" for field in fields(AblationConfig)),
+    *(f"evaluation.{field.name}" for field in fields(EvaluationConfig)),
+    *("method.epochs", "method.total_timesteps"),
+)
 
 
 @dataclass
@@ -94,8 +100,8 @@ def from_hydra(composed: DictConfig) -> Config:
     method = values["method"]
     name = method.get("name")
     values["method"] = {"name": name}
-    own = {field.name for field in dataclasses.fields(Config)}
-    extra = {field.name for field in dataclasses.fields(ComposedConfig)} - own
+    own = {field.name for field in fields(Config)}
+    extra = {field.name for field in fields(ComposedConfig)} - own
     config = _typed(Config, {key: each for key, each in values.items() if key not in extra})
     config.method = _typed(spec(name).config, method, "method")
     if ".." in Path(config.env.name).parts or Path(config.env.name).is_absolute():
@@ -121,7 +127,7 @@ def _typed(kind: type[T], values: Mapping[str, Any], parent: str = "") -> T:
         return cast(T, OmegaConf.to_object(typed))
     except (ConfigKeyError, ConfigAttributeError) as error:
         holder: Any = error.object_type or kind
-        known = [field.name for field in dataclasses.fields(holder)]
+        known = [field.name for field in fields(holder)]
         method = f"method={values.get('name')}" if parent == "method" else ""
         raise UserError(unknown_key(_full(parent, str(error.full_key)), known, method)) from None
     except OmegaConfBaseException as error:
@@ -141,8 +147,10 @@ def unknown_key(key: str, known: Iterable[str], method: str = "") -> str:
         known: names that exist in its place.
         method: "method=ril", where that decides which keys exist.
     """
-    names = list(known)
+    names = [name for name in known if name != "quick"]  # which experiment=quick sets
     near = difflib.get_close_matches(key.rpartition(".")[2], names, n=1) or names
+    if "." not in key:
+        near = [each for each in _NESTED if each.rpartition(".")[2] == key] or near
     return f"{key}: no such key{f' of {method}' if method else ''}; is it {', '.join(near)}?"
 
 

@@ -43,7 +43,7 @@ class _Version(argparse.Action):
         """Print it and exit."""
         import ril
 
-        print(f"ril {ril.__version__}")
+        print(f"ril-report {ril.__version__}")
         parser.exit()
 
 

@@ -1,4 +1,4 @@
-"""Actor-critic with K-FAC trust regions (Wu et al., 2017): A2C whose steps are natural."""
+"""Actor-critic with K-FAC trust regions (Wu et al., 2017): A2C with natural gradients."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from ril.vectorized.streams import Streams
 
 @dataclass
 class ACKTRConfig(MethodConfig):
-    """`conf/method/acktr.yaml`: actor-critic with K-FAC; Stable-Baselines' names."""
+    """`conf/method/acktr.yaml`, by Stable-Baselines' names."""
 
     total_timesteps: int = MISSING
     hidden: list[int] = MISSING
@@ -78,7 +78,7 @@ class ACKTR(Stateful):
         self.epoch = 0
 
     def train(self) -> Iterator[Progress]:
-        """A rollout and an update of both networks; yields after each."""
+        """Train by rollouts, with an update of both networks on each; yield after each."""
         if self.epoch == 0:
             self._standardize()
         while self.epoch < self.epochs:
@@ -88,7 +88,7 @@ class ACKTR(Stateful):
             yield Progress.of_rewards(self.epoch, self._seeds, steps, metrics)
 
     def _standardize(self) -> None:
-        """Play random actions, and begin as if their states' mean were 0 and deviation 1."""
+        """Play random actions, and scale the networks' inputs by the states that they reach."""
         shape = self.config.standardize_steps, self.config.n_envs
         chosen = self._random.integers(self._actions, *shape)
         seen = []
@@ -101,11 +101,11 @@ class ACKTR(Stateful):
             standardize_inputs(self.value, states)
 
     def _rollout(self) -> tuple[Floats, NDArray[np.int64], Step]:
-        """T = n_steps steps of all S·K environments, with actions of the policy's own chances.
+        """Take T = n_steps steps in all S·K environments, with actions drawn from the policy.
 
         Returns:
-            (T, S·K, obs) scaled states, (T, S·K) actions taken in them, and what followed, all
-            of a `Step` with T before its axes.
+            (T, S·K, obs) scaled states, (T, S·K) actions in them, and the steps that followed:
+            a `Step` whose fields have an axis T in front.
         """
         uniform = torch.from_numpy(self._streams.uniform(self.config.n_steps, self.config.n_envs))
         observations, actions, steps = [], [], []
@@ -125,7 +125,7 @@ class ACKTR(Stateful):
     def _update(
         self, observations: Floats, actions: NDArray[np.int64], followed: Step
     ) -> dict[str, NDArray[np.float64]]:
-        """One K-FAC step of each network on a rollout; returns diagnostics, each (S,)."""
+        """Take one K-FAC step of each network on a rollout; return diagnostics, each (S,)."""
         config = self.config
         states = self._by_seed(observations)
         values = self.critic(states).squeeze(-1)
@@ -148,23 +148,23 @@ class ACKTR(Stateful):
         # a sample V(s) + ε; E[ε²] = 1, so that ∂v has the same Fisher matrix without the noise.
         self.critic.step(value_loss, log_prob=values)
 
-        log_chances = self.actor(states).log_softmax(dim=-1)
-        chosen = log_chances.gather(-1, self._by_seed(actions)[..., None]).squeeze(-1)
-        entropy = -(log_chances.exp() * log_chances).sum(dim=-1).mean(dim=1)
+        log_probs = self.actor(states).log_softmax(dim=-1)
+        chosen = log_probs.gather(-1, self._by_seed(actions)[..., None]).squeeze(-1)
+        entropy = -(log_probs.exp() * log_probs).sum(dim=-1).mean(dim=1)
         policy_loss = -(chosen * advantages).mean(dim=1) - config.ent_coef * entropy
-        # The actions of the rollout are samples of the policy as it still is.
+        # The rollout's actions are samples of the policy, which has not changed since.
         self.actor.step(policy_loss, log_prob=chosen)
         metrics = {"entropy": entropy, "value_loss": value_loss}
         return {name: each.detach().double().cpu().numpy() for name, each in metrics.items()}
 
     def _by_seed(self, array: NDArray[Any]) -> Tensor:
-        """(T, S·K, …) to (S, T·K, …)."""
+        """Turn (T, S·K, …) into (S, T·K, …)."""
         steps, _, *rest = array.shape
         split = torch.from_numpy(array).view(steps, self._seeds, -1, *rest)
         return split.transpose(0, 1).flatten(1, 2).to(self._device)
 
     def _by_step(self, tensor: Tensor) -> Floats:
-        """(S, T·K) to (T, S·K)."""
+        """Turn (S, T·K) into (T, S·K)."""
         split = tensor.detach().view(self._seeds, self.config.n_steps, -1)
         array: Floats = split.transpose(0, 1).flatten(1).cpu().numpy()
         return array
@@ -172,7 +172,7 @@ class ACKTR(Stateful):
 
 @torch.no_grad()
 def standardize_inputs(network: Network, states: Tensor) -> None:
-    """Have the first layer answer to a state as it did to that state standardized.
+    """Fold a standardization of the inputs into the first layer, in place.
 
     Args:
         network: of S seeds.

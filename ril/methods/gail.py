@@ -30,7 +30,7 @@ from ril.vectorized.streams import Streams
 
 @dataclass
 class GAILConfig(MethodConfig):
-    """`conf/method/gail.yaml`: generative adversarial imitation learning."""
+    """`conf/method/gail.yaml`."""
 
     total_timesteps: int = MISSING
     discriminator: DiscriminatorConfig = part(DiscriminatorConfig)
@@ -38,7 +38,7 @@ class GAILConfig(MethodConfig):
 
 
 class GAIL:
-    """S policies, each paid by a discriminator that tells its pairs (s, a) from the expert's.
+    """S policies, each rewarded by a discriminator that tells its pairs (s, a) from the expert's.
 
     Args:
         config: `method` of the configuration.
@@ -70,7 +70,7 @@ class GAIL:
         self.epoch = 0
 
     def train(self) -> Iterator[Progress]:
-        """Rounds of one rollout each (their Algorithm 1, with its line numbers)."""
+        """Train in rounds of one rollout (Algorithm 1 of Ho & Ermon, with its line numbers)."""
         seeds = len(self.policy.flat)
         while self.epoch < self.epochs:  # line 2
             self.epoch += 1
@@ -96,7 +96,7 @@ class GAIL:
             )
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the next round depends on."""
+        """Return all that the next round depends on."""
         return {
             "epoch": self.epoch,
             "discriminator": self.discriminator.state_dict(),
@@ -104,7 +104,7 @@ class GAIL:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
+        """Resume from a state that `state_dict` returned."""
         self.epoch = state["epoch"]
         self.discriminator.load_state_dict(state["discriminator"])
         self.agents.each(PPOAgent.load_state_dict, state["agents"])
@@ -112,7 +112,7 @@ class GAIL:
 
 
 def _improved(agent: PPOAgent, rewards: Floats) -> Tensor:
-    """A policy step; returns the actor after it."""
+    """Take a policy step; return the actor after it."""
     agent.improve(rewards)
     return agent.actor()
 

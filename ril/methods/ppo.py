@@ -25,7 +25,7 @@ from ril.vectorized.processes import WorkerPool
 
 @dataclass
 class ScheduledPPOConfig(PPOConfig):
-    """With what RL Baselines3 Zoo adds to it."""
+    """PPO's settings, and those that RL Baselines3 Zoo adds."""
 
     normalize: bool = MISSING
     linear_schedule: bool = MISSING
@@ -33,7 +33,7 @@ class ScheduledPPOConfig(PPOConfig):
 
 @dataclass
 class PPOMethodConfig(MethodConfig):
-    """`conf/method/ppo.yaml`: proximal policy optimization."""
+    """`conf/method/ppo.yaml`."""
 
     total_timesteps: int = MISSING
     ppo: ScheduledPPOConfig = part(ScheduledPPOConfig)
@@ -63,7 +63,7 @@ class PPO:
         self.epoch = 0
 
     def train(self) -> Iterator[Progress]:
-        """Rollouts, each with PPO's update on it."""
+        """Train by rollouts, with PPO's update on each; yield after each."""
         seeds = len(self.policy.flat)
         while self.epoch < self.epochs:
             self.epoch += 1
@@ -76,18 +76,18 @@ class PPO:
             yield Progress.of_rewards(self.epoch, seeds, steps, metrics)
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the next epoch depends on."""
+        """Return all that the next epoch depends on."""
         return {"epoch": self.epoch, "agents": self.agents.each(PPOAgent.state_dict)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from where `state_dict` was taken."""
+        """Resume from a state that `state_dict` returned."""
         self.epoch = state["epoch"]
         self.agents.each(PPOAgent.load_state_dict, state["agents"])
         self.policy.flat.copy_(torch.stack(self.agents.each(PPOAgent.actor)))
 
 
 def _rollout_and_update(agent: PPOAgent) -> tuple[Tensor, dict[str, float]]:
-    """An epoch of one agent; returns its actor, and what its update says of itself."""
+    """Train one agent for an epoch; return its actor and its update's diagnostics."""
     agent.collect()
     agent.improve()
     return agent.actor(), agent.diagnostics()
