@@ -212,7 +212,7 @@ def test_the_version_is_printed(
     monkeypatch.setattr("ril.__version__", "1.2.3", raising=False)
     with pytest.raises(SystemExit) as end:
         report(monkeypatch, "--version")
-    assert (end.value.code, capsys.readouterr().out) == (0, "ril 1.2.3\n")
+    assert (end.value.code, capsys.readouterr().out) == (0, "ril-report 1.2.3\n")
 
 
 def test_results_are_a_page_and_two_figures_of_their_own(
