@@ -1,4 +1,4 @@
-"""Hydra's sweeper for `ril-run -m`; it is here, since Hydra finds plugins in this package only."""
+"""The sweeper of `ril-run -m`; it is not in `ril/`, since Hydra looks for plugins here only."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from ril.cli.sweep import Cell
     from ril.cli.sweep_progress import SweepProgress
 
-_LAUNCHES = 4  # attempts per cell at most, as Ray's default
+_LAUNCHES = 4  # maximum attempts per cell, as by Ray's default
 
 
 class CellSweeper(Sweeper):
-    """Runs those cells of one or several sweeps that are not finished, by any launcher.
+    """A sweeper that runs the unfinished cells of one or several sweeps with any launcher.
 
     Args:
-        max_batch_size: cells given to the launcher at a time; None for all.
-        params: values by key, as of Hydra's own sweeper.
-        sweeps: values by key of several sweeps, which are run one after another.
+        max_batch_size: number of cells passed to the launcher at a time; None for all.
+        params: comma-separated values by key, as in Hydra's basic sweeper.
+        sweeps: the same for several sweeps, which are run one after another.
     """
 
     def __init__(
@@ -56,13 +56,16 @@ class CellSweeper(Sweeper):
         )
 
     def sweep(self, arguments: list[str]) -> None:
-        """Run what the command line asks for, and report what became of it.
+        """Run the sweep of a command line, and report the result of each cell.
+
+        Args:
+            arguments: overrides of the command line.
 
         Raises:
             UserError: no cell can be run; nothing was written.
             SystemExit: a cell failed, or the user stopped the sweep.
         """
-        # Here, since Hydra loads plugins at every start.
+        # Imported here, since Hydra loads its plugins at every start of a command.
         from ril.cli.sweep import expand, plan
         from ril.cli.sweep_progress import SweepProgress
 
@@ -89,7 +92,7 @@ class CellSweeper(Sweeper):
         progress.report()
 
     def _launch(self, cells: Sequence[Cell], first: int, progress: SweepProgress) -> None:
-        """Have the launcher run some cells; again, if one of its workers was killed."""
+        """Run cells with the launcher; if a worker was killed, run the unfinished ones again."""
         from joblib.externals.loky.process_executor import TerminatedWorkerError
 
         from ril.cli.command import in_one_line
@@ -100,7 +103,7 @@ class CellSweeper(Sweeper):
                 return
             try:
                 returned = self.launcher.launch([cell.overrides for cell in left], first)
-            except TerminatedWorkerError:  # joblib gives up the other cells; Ray and Slurm do not
+            except TerminatedWorkerError:  # joblib, unlike Ray and Slurm, drops the other cells too
                 progress.lost(left, "a worker was killed, perhaps because memory ran out")
             except Exception as error:
                 return progress.lost(left, in_one_line(error))

@@ -1,4 +1,4 @@
-"""Save policies, and load them again: `load_policy("outputs/…/policy.pt", seed=0)`."""
+"""Save and load trained policies: `load_policy("outputs/…/policy.pt", seed=0)`."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _ARCHITECTURES: dict[str, type[Architecture]] = {
 
 
 class Policy:
-    """One seed's policy over raw observations.
+    """The trained policy of one seed, for raw observations.
 
     Attributes:
-        env_id: the Gymnasium environment that it was trained in.
+        env_id: the id of the Gymnasium environment in which it was trained.
     """
 
     def __init__(self, env_id: str, network: Network, low: Tensor, high: Tensor) -> None:
@@ -67,10 +67,10 @@ def save_policies(
     """Write the best and last policies of all seeds, as tensors and plain values only.
 
     Args:
-        path: of the file.
-        environment: that they act in.
-        architecture: of each policy.
-        seeds: S.
+        path: the file to write.
+        environment: the environment in which the policies act.
+        architecture: the architecture that all policies have.
+        seeds: the S seeds.
         best: (S, P) parameters of each seed's best policy.
         last: (S, P) parameters of each seed's last policy.
     """
@@ -87,7 +87,7 @@ def save_policies(
 
 
 def _described(architecture: Architecture) -> dict[str, Any]:
-    """Describe an architecture, and those that it consists of, by plain values."""
+    """Describe an architecture and its nested architectures by plain values."""
     plain: dict[str, Any] = {"kind": type(architecture).__name__}
     for field in fields(architecture):
         value = getattr(architecture, field.name)
@@ -96,7 +96,7 @@ def _described(architecture: Architecture) -> dict[str, Any]:
 
 
 def _built(description: dict[str, Any]) -> Architecture:
-    """Make the architecture of a description."""
+    """Build an architecture from its description."""
     values: dict[str, Any] = {
         k: _built(v) if isinstance(v, dict) else v for k, v in description.items()
     }
@@ -105,15 +105,15 @@ def _built(description: dict[str, Any]) -> Architecture:
 
 
 def load_policy(path: str | Path, seed: int, which: str = "best") -> Policy:
-    """Load one seed's policy from a run's `policy.pt`; nothing in the file is executed.
+    """Load one seed's policy from a run's `policy.pt`; no code in the file is executed.
 
     Args:
-        path: of the file.
-        seed: which of the run's seeds.
+        path: the file to read.
+        seed: one of the run's seeds.
         which: "best" or "last".
 
     Raises:
-        UserError: the file cannot be read, or holds no such policy.
+        UserError: the file cannot be read, or does not hold that seed's policy.
     """
     try:
         content: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")

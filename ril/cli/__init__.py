@@ -1,1 +1,1 @@
-"""The commands ril-run, ril-report and ril-expert; the one package that knows Hydra."""
+"""The commands ril-run, ril-report and ril-expert; the only package in `ril/` that uses Hydra."""

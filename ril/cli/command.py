@@ -1,4 +1,4 @@
-"""What the commands over Hydra share: a mistake of the user is one line, not a traceback."""
+"""Run a Hydra command, and report a user's mistake in one line instead of a traceback."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 import hydra
 import yaml
-from hydra._internal.hydra import Hydra  # Hydra has no public way to its help and flags
+from hydra._internal.hydra import Hydra  # Hydra's help and flags have no public interface
 from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
@@ -26,7 +26,7 @@ from ril.io.paths import config_folder
 MISTAKES = (UserError, HydraException, OmegaConfBaseException, OSError, yaml.YAMLError)
 #: Groups whose choices may be sweeps.
 SWEEP_GROUPS = ("experiment=", "ablation=")
-_LAUNCHERS = {"ray": "ray", "submitit": "slurm"}  # by the extra that installs them
+_LAUNCHERS = {"ray": "ray", "submitit": "slurm"}  # launcher: the extra that installs it
 _TRACEBACK_WANTED = "HYDRA_FULL_ERROR" in os.environ
 
 
@@ -34,16 +34,19 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
     """Have Hydra compose a configuration from the command line and call a job with it.
 
     Args:
-        config_name: a file of `conf/`.
-        job: what to do.
-        stopped: what to say if Ctrl-C interrupts it before the job handles signals.
+        config_name: name of a file in `conf/`.
+        job: called with the composed configuration.
+        stopped: the message if Ctrl-C interrupts the command before the job handles signals.
+
+    Raises:
+        SystemExit: the user made a mistake, or stopped the command.
     """
     if "--version" in sys.argv[1:]:
         print(f"{Path(sys.argv[0]).stem} {__version__}")
         return
     os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises its errors
     if "--hydra-help" not in sys.argv:
-        # Hydra lists all groups, which takes 0.2 s, for a place that ril's help does not have.
+        # Skip Hydra's list of all groups, which takes 0.2 s and which ril's help does not show.
         Hydra.format_config_groups = lambda *_, **__: ""  # type: ignore[method-assign]
     composed = False
 
@@ -55,12 +58,12 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
     try:
         arguments = _arguments()
         if arguments.cfg == "job" and not arguments.resolve:
-            sys.argv.append("--resolve")  # values by environment are interpolations
+            sys.argv.append("--resolve")  # so that values by environment are shown as values
         folder = str(config_folder())
-        task = after_composing if not arguments.multirun else job  # which workers unpickle
+        task = after_composing if not arguments.multirun else job  # workers unpickle the job
         hydra.main(version_base="1.3", config_path=folder, config_name=config_name)(task)()
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader of the output has closed it
+    except BrokenPipeError:  # the reader of the output, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except MISTAKES as error:
@@ -68,16 +71,17 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
     except ValueError as error:
         if composed:
             raise
-        refuse(error)  # of Hydra, such as for group=null or two flags that exclude each other
+        refuse(error)  # raised by Hydra, such as for group=null or two exclusive flags
     except KeyboardInterrupt:
         sys.exit(stopped)
 
 
 def _arguments() -> Any:
-    """The flags and overrides; what cannot be read as such ends the command in one line.
+    """Parse the flags and overrides of the command line.
 
     Raises:
-        UserError: several values are given without -m.
+        SystemExit: the flags cannot be parsed.
+        UserError: a key has several values without -m.
     """
     parser = get_args_parser()
     parser.error = _refuse_flags  # type: ignore[method-assign]
@@ -100,7 +104,7 @@ def _refuse_flags(message: str) -> NoReturn:
 
 
 def refuse(error: Exception) -> NoReturn:
-    """End the command with the mistake in one line, and exit status 1."""
+    """Exit with status 1 and describe the mistake in one line."""
     if _TRACEBACK_WANTED:
         raise error
     sys.exit(f"{Path(sys.argv[0]).stem}: {in_one_line(error)}")
@@ -112,7 +116,12 @@ def own_folders(sources: Iterable[Any]) -> list[str]:
 
 
 def cell_command(overrides: Sequence[str], sources: Iterable[Any]) -> list[str]:
-    """Return the command that runs one cell of a sweep alone."""
+    """Return the command line, as a list, that runs one cell of a sweep alone.
+
+    Args:
+        overrides: the cell's `key=value`.
+        sources: Hydra's sources of configuration.
+    """
     flags = [f"--config-dir={folder}" for folder in own_folders(sources)]
     return ["ril-run", *flags, *overrides]
 
@@ -147,9 +156,9 @@ def default_config(env: str, method: str, folders: Sequence[str] = ()) -> DictCo
     """Compose the default configuration of a method on an environment.
 
     Args:
-        env: its choice on the command line.
-        method: its name.
-        folders: the user's own, as of --config-dir.
+        env: the value of `env=` on the command line.
+        method: the value of `method=`.
+        folders: the user's own configuration folders (--config-dir).
     """
     overrides = [f"env={env}", f"method={method}"]
     if folders:

@@ -1,4 +1,4 @@
-"""From what Hydra composes to a checked `Config`, and the resolvers that `conf/` uses."""
+"""Turn Hydra's composed configuration into a checked `Config`; define the resolvers of `conf/`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ril.io.errors import UserError
 from ril.io.paths import config_folder
 
 T = TypeVar("T")
-#: Keys below a group that may be given without its name by mistake.
+#: Keys of groups, to suggest to a user who has left out the group's name.
 _NESTED = (
     *(f"env.{field.name}" for field in fields(EnvironmentConfig)),
     *(f"ablation.{field.name}" for field in fields(AblationConfig)),
@@ -29,11 +29,11 @@ _NESTED = (
 
 @dataclass
 class ComposedConfig(Config):
-    """What Hydra composes: a `Config`, and keys on which its values depend.
+    """Hydra's composed configuration: a `Config`, and keys that only choose its values.
 
     Attributes:
         fidelity: "works", or "paper" for values as the paper prints them.
-        quick: budgets of `experiment=quick`, in place of the methods' own.
+        quick: smaller budgets, set by `experiment=quick`.
     """
 
     fidelity: str = MISSING
@@ -41,10 +41,10 @@ class ComposedConfig(Config):
 
 
 def store_schemas() -> None:
-    """Tell Hydra the types of the keys of `conf/`, but for those below `method`.
+    """Register the types of all keys with Hydra, except those below `method`.
 
-    The keys below `method` depend on its choice, which a sweep knows only cell by cell, so
-    `from_hydra` checks them. They also need the method's module, which imports torch.
+    The keys below `method` depend on the chosen method, which may differ between the cells of a
+    sweep, so `from_hydra` checks them. Their types are in the method's module, which imports torch.
     """
     schema = OmegaConf.structured(ComposedConfig)
     OmegaConf.set_struct(schema.method, False)
@@ -63,10 +63,10 @@ def by_fidelity(choices: Mapping[str, Any], *, _root_: DictConfig) -> Any:
 
 
 def choices(group: str) -> str:
-    """Resolve `${choices:method}` to a group's choices, for the help text.
+    """Resolve `${choices:method}` to the choices of the group, for the help text.
 
     Returns:
-        A line for each: its name, and the first comment of its file.
+        A line per choice: its name and the first comment of its file.
     """
     lines = []
     for file in sorted((config_folder() / group).glob("*.yaml")):
@@ -79,7 +79,7 @@ def choices(group: str) -> str:
     return "\n".join(lines)
 
 
-# On import, so that the worker processes of a sweep have them too.
+# Registered on import, so that the worker processes of a sweep have them too.
 for resolver in (by_env, by_fidelity, choices):
     OmegaConf.register_new_resolver(resolver.__name__, resolver, replace=True)
 
@@ -88,7 +88,7 @@ def from_hydra(composed: DictConfig) -> Config:
     """Turn the composed configuration into checked dataclasses.
 
     Raises:
-        UserError: a value is missing or not allowed, or a key is unknown.
+        UserError: a value is missing or not allowed, or a key does not exist.
     """
     from ril.methods.registry import spec  # imports torch
 
@@ -113,12 +113,15 @@ def from_hydra(composed: DictConfig) -> Config:
 
 
 def _typed(kind: type[T], values: Mapping[str, Any], parent: str = "") -> T:
-    """The values as a dataclass.
+    """Return values as a dataclass.
 
     Args:
-        kind: of dataclass.
-        values: by key.
-        parent: their key; "" for the root.
+        kind: the dataclass.
+        values: its values by key.
+        parent: the key that holds them; "" for the root.
+
+    Raises:
+        UserError: a value is missing or of the wrong type, or a key does not exist.
     """
     try:
         typed = OmegaConf.merge(OmegaConf.structured(kind), values)
@@ -140,14 +143,14 @@ def _full(parent: str, key: str) -> str:
 
 
 def unknown_key(key: str, known: Iterable[str], method: str = "") -> str:
-    """Say that a key does not exist, and which one may have been meant.
+    """Return the message that a key does not exist, with the keys that the user may have meant.
 
     Args:
-        key: in full.
-        known: names that exist in its place.
-        method: "method=ril", where that decides which keys exist.
+        key: the full key.
+        known: names of the existing keys of its group.
+        method: the choice that decides which keys exist, such as "method=ril"; "" if none does.
     """
-    names = [name for name in known if name != "quick"]  # which experiment=quick sets
+    names = [name for name in known if name != "quick"]  # only experiment=quick sets it
     near = difflib.get_close_matches(key.rpartition(".")[2], names, n=1) or names
     if "." not in key:
         near = [each for each in _NESTED if each.rpartition(".")[2] == key] or near
@@ -155,7 +158,11 @@ def unknown_key(key: str, known: Iterable[str], method: str = "") -> str:
 
 
 def _seeds(given: Any) -> list[int]:
-    """A count n to the seeds 0..n−1; a list to itself."""
+    """Return the seeds 0..n−1 for a count n, and a list as it is.
+
+    Raises:
+        UserError: it is neither a count nor a list of different seeds.
+    """
     seeds = list(range(given)) if type(given) is int else given
     if (
         not isinstance(seeds, list)

@@ -1,4 +1,4 @@
-"""Show a run to a person: a live panel on a terminal, plain lines in a log file."""
+"""Show a run to the user: a live panel on a terminal, plain lines in a log file."""
 
 from __future__ import annotations
 
@@ -21,17 +21,19 @@ from ril.methods.registry import spec
 from ril.methods.spec import MethodSpec
 from ril.run.record import Record
 
-_LINE_SECONDS = 10.0  # between two lines of a log file, at least
+_LINE_SECONDS = 10.0  # minimum time between two lines in a log file
 
 
 class ConsoleDisplay:
-    """Show one run on a console.
+    """The display of one run on a console.
 
     Args:
-        console: to write to.
+        console: the console to write to.
         live: whether to redraw a panel, for terminals; otherwise write a line every few seconds.
-        alone: whether the run is not part of a sweep; a sweep's cell ends with one line only.
-        paper_number: rows of a run to the paper's number for their cell; None if it has none.
+        alone: whether to end with a table of the rows; False for a cell of a sweep, which ends
+            with one line.
+        paper_number: returns the paper's number for the cell of some rows, or None if the paper
+            has none.
     """
 
     def __init__(
@@ -159,7 +161,7 @@ def _seeds_table(frame: pd.DataFrame) -> Table:
 
 
 def _facts(method: MethodSpec, progress: base.Progress, record: Record) -> dict[str, str]:
-    """Return names and values of what is shown after an epoch; means are over seeds."""
+    """Return what is shown after an epoch, by label; means are over seeds."""
     samples = progress.env_samples + progress.expert_samples
     facts = {}
     if record.curve:

@@ -56,7 +56,7 @@ def _run(composed: DictConfig) -> None:
         with _progress(config, console) as on_step:
             record = make_expert(config, command, on_step)
     except MISTAKES as error:
-        refuse(error)  # before Hydra adds a line of its own
+        refuse(error)  # here, since Hydra would add a line of its own
     returns, first = record["returns"], record["first"]
     console.print(
         f"{config.output}: {record['episodes']} episodes with return {returns['mean']:.2f} ± "

@@ -1,4 +1,4 @@
-"""`ril-report`: our rows as the paper's tables and figures, compared with its numbers."""
+"""`ril-report`: show our rows as the paper's tables and figures, compared with its numbers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ examples:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports a mistake in one line, without the usage."""
+    """An argument parser that reports a mistake in one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with the message."""
@@ -37,7 +37,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Prints the version, which is looked up only when asked for."""
+    """An action that prints the version; only then is `ril` imported to find it."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """Print it and exit."""
@@ -106,7 +106,9 @@ def _parser() -> argparse.ArgumentParser:
         help=f"one or more of {', '.join(TARGETS)} (default: all). "
         "`results` writes results.md and the figure of the README",
     )
-    parser.add_argument("--format", choices=FORMATS, help="of tables (default: md; html for `all`)")
+    parser.add_argument(
+        "--format", choices=FORMATS, help="format of tables (default: md; html for `all`)"
+    )
     parser.add_argument(
         "--score",
         choices=("best", "last"),

@@ -1,4 +1,4 @@
-"""`ril-run`: Hydra composes the configuration, `ril.run.experiment.run` runs it."""
+"""`ril-run`: compose the configuration with Hydra and pass it to `ril.run.experiment.run`."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def main() -> None:
 
 
 def _job(composed: DictConfig) -> None:
-    """Run one cell; in a sweep, let its launcher record a mistake and go on to the next cell."""
+    """Run one cell; a mistake ends the command, or only this cell if it is part of a sweep."""
     try:
         _run(composed)
     except MISTAKES as error:
         if HydraConfig.get().mode == RunMode.MULTIRUN:
             raise
-        refuse(error)  # before Hydra adds a line of its own
+        refuse(error)  # here, since Hydra would add a line of its own
 
 
 def _run(composed: DictConfig) -> None:
@@ -81,7 +81,7 @@ def _refuse_sweep() -> None:
     """Refuse a sweep without -m, unless the command line picks one of its cells.
 
     Raises:
-        UserError: it is a sweep.
+        UserError: the command line asks for more than one cell.
     """
     given = HydraConfig.get().overrides.task
     keys = {override.partition("=")[0] for override in given}
@@ -94,7 +94,11 @@ def _refuse_sweep() -> None:
 
 
 def _variant(composed: DictConfig) -> str:
-    """The keys with values other than the method's defaults on its environment, as key=value."""
+    """Return the keys whose values differ from the method's defaults on its environment.
+
+    Returns:
+        `key=value` of each, separated by spaces; "" if there are none.
+    """
     runtime = HydraConfig.get().runtime
     env, method = runtime.choices["env"], composed.method.name
     if GlobalHydra.instance().is_initialized():
@@ -105,15 +109,16 @@ def _variant(composed: DictConfig) -> str:
     before, given = _values(usual), _values(composed)
     if given["demonstrations"] is not None:
         given["demonstrations"] = Path(given["demonstrations"]).name
-    # The folder's name, what changes no number, and budgets.
+    # A folder's name, a key that changes no number, and budgets.
     ignored = {"env.name", "env.vectorized", "method.epochs", "method.total_timesteps"}
-    ignored |= {key for key, value in before.items() if value == "???"}  # such as env.id of env=gym
+    # Keys without a default, such as env.id of env=gym.
+    ignored |= {key for key, value in before.items() if value == "???"}
     changed = [key for key in given if key not in ignored and given[key] != before.get(key)]
     return " ".join(f"{key}={given[key]}" for key in changed)
 
 
 def _values(composed: DictConfig) -> dict[str, Any]:
-    """What makes a method what it is, by full key; a list is one value."""
+    """Return the values on which a row's numbers depend, by full key; a list is one value."""
     values: dict[str, Any] = {}
 
     def collect(node: Any, key: str) -> None:

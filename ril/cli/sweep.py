@@ -1,4 +1,4 @@
-"""The cells of a sweep: expand its values, and plan which cells to run."""
+"""Expand a sweep into cells, and check each of them before any is run."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Cell:
     Attributes:
         overrides: `key=value` on its command line.
         command: the command that runs it alone.
-        config: of its run; None if the overrides were refused.
-        folder: of its run; with resume=false further runs are in `<folder>-2`, `<folder>-3`, ….
-        mistake: why the cell was refused or failed; None if neither.
-        before: finished runs that do not count, since resume=false asks for one more.
+        config: configuration of its run; None if the overrides were refused.
+        folder: folder of its run; with resume=false, further runs are in `<folder>-2`, ….
+        mistake: why the cell was refused or failed; None if neither happened.
+        before: number of earlier finished runs, which do not count with resume=false.
     """
 
     overrides: list[str]
@@ -60,13 +60,13 @@ def expand(
     """Return the overrides of each cell of several sweeps.
 
     Args:
-        sweeps: comma-separated values by key, for each sweep; None is one sweep without keys.
-        arguments: the command line. If it gives a key of a sweep, only the values in both remain,
-            and a sweep with no value left is skipped.
-        parser: Hydra's.
+        sweeps: comma-separated values by key, for each sweep; None for one sweep without keys.
+        arguments: overrides of the command line. Of a key that a sweep has too, only the values
+            that both have remain; a sweep with no value left is skipped.
+        parser: Hydra's parser of overrides.
 
     Returns:
-        `key=value` of every combination of values; the last key's values vary fastest.
+        `key=value` for every combination of values; the last key's values vary fastest.
 
     Raises:
         UserError: every sweep is skipped.
@@ -92,7 +92,7 @@ def expand(
 
 
 def _narrowed(own: Override, given: Override | None) -> list[str]:
-    """Return the values of a sweep's key that the command line allows; all if it lacks the key."""
+    """Return the values of a sweep's key that the command line has too; all if it lacks the key."""
     values = _values(own)
     allowed = values if given is None else _values(given)
     return [text for text, value in values.items() if value in allowed.values()]
@@ -112,11 +112,11 @@ def plan(
 
     Args:
         jobs: overrides of each cell.
-        compose: overrides to the configuration that Hydra composes.
-        config: of the sweep as a whole.
+        compose: composes a configuration from overrides.
+        config: Hydra's configuration of the sweep as a whole.
 
     Returns:
-        The cells, those that were refused included; their `mistake` says why.
+        All cells; `mistake` says why a cell was refused.
 
     Raises:
         UserError: all cells were refused.
@@ -135,7 +135,7 @@ def plan(
             expert = load_demonstrations(demonstrations_path(run), load_environment(run.env))
             cell = Cell(overrides, command, run, run_folder(run, expert.sha256))
             if run.resume:
-                has_rows(cell.folder, run)  # raises if results.csv is damaged or of another run
+                has_rows(cell.folder, run)  # raises if results.csv is damaged or another run's
             else:
                 cell.before = len(cell.runs)
             cells.setdefault(cell.folder, cell)

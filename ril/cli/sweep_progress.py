@@ -1,4 +1,4 @@
-"""Report a sweep's progress by the rows that its cells write, whichever launcher runs them."""
+"""Report a sweep's progress by the rows that its cells write, which works with every launcher."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _NO_REASON = f"wrote no rows, and the launcher gave no reason; {_RESUME}"
 
 
 class SweepProgress:
-    """Print a sweep's progress at its start, whenever cells finish, and at its end.
+    """A printer of a sweep's progress: at its start, whenever cells finish, and at its end.
 
     Args:
-        cells: of the sweep.
+        cells: the cells of the sweep.
         launcher: configuration of Hydra's launcher.
-        output_dir: folder of earlier runs, whose times give the time left.
+        output_dir: folder of earlier runs, from whose times the remaining time is estimated.
 
     Attributes:
         pending: the cells to run.
@@ -53,7 +53,7 @@ class SweepProgress:
         print(f"sweep: {', '.join(parts)}", flush=True)
 
     def _outlook(self, launcher: DictConfig) -> str:
-        """Say how long the sweep will take, by the times of earlier runs."""
+        """Say how long the sweep will take, estimated from the times of earlier runs."""
         if np.isnan(self._seconds).all():
             return "time unknown until the first cell is finished"
         seconds = float(np.nansum(self._seconds))
@@ -79,7 +79,7 @@ class SweepProgress:
             with stop_on_signals() as stop:
                 stop.immediate = True  # the cells have checkpoints
                 yield
-        except (Stopped, SystemExit) as end:  # SystemExit if a cell in this process was stopped
+        except (Stopped, SystemExit) as end:  # a stopped cell in this process raises SystemExit
             message = f"ril-run: stopped with {self._finished()}; {_RESUME}"
             print(message, file=sys.stderr, flush=True)
             sys.exit(end.exit_status if isinstance(end, Stopped) else end.code)
@@ -91,7 +91,7 @@ class SweepProgress:
         """Print the time left whenever more cells have finished, until `over` is set."""
         known = ~np.isnan(self._seconds)
         mean = self._seconds[known].mean() if known.any() else 1.0
-        # Above 0, since their sum is divided by; a recorded time may round to 0.
+        # At least 0.01, since their sum is a divisor and a recorded time may be 0.
         weights, before = np.maximum(np.where(known, self._seconds, mean), 0.01), 0
         while not over.wait(_WATCH_SECONDS):
             done = np.array([cell.is_done for cell in self.pending])
@@ -109,8 +109,8 @@ class SweepProgress:
         """Record that the launcher failed.
 
         Args:
-            cells: that it was running.
-            why: reason, as a sentence without a full stop.
+            cells: the cells that it was running.
+            why: the reason, as a sentence without a period.
         """
         print(f"sweep: {self._finished()}; {why}", flush=True)
         for cell in cells:
@@ -137,7 +137,7 @@ class SweepProgress:
 
 
 def _expected_seconds(cells: Sequence[Cell], output_dir: Path) -> np.ndarray:
-    """Return the expected seconds of each cell (N,), by finished runs; NaN where there is none."""
+    """Return the expected seconds of each cell (N,), by finished runs; NaN for a cell without."""
     rows, _ = load_results([output_dir])  # ril-report reports files that cannot be read
     return np.array([_expected(cell.config, rows) for cell in cells if cell.config is not None])
 

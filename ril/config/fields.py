@@ -1,4 +1,4 @@
-"""Bounds of configuration values, stated in each dataclass field beside its type."""
+"""Bounds of configuration values, declared in each dataclass field beside its type."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def at_least(low: float, default: Any = MISSING) -> Any:
 
 
 def any_number(default: Any = MISSING) -> Any:
-    """Declare a field whose numbers may be any finite ones."""
+    """Declare a field whose numbers must be finite."""
     return within(-math.inf, math.inf, default)
 
 
 def one_of(*choices: str | bool, default: Any = MISSING) -> Any:
-    """Declare a field whose value must equal one of some choices, in type as well."""
+    """Declare a field whose value must equal one of `choices` and have its type."""
     return dataclasses.field(default=default, metadata={"choices": choices})
 
 
@@ -37,14 +37,14 @@ def part(config: type) -> Any:
 
 
 def check(config: Any, prefix: str = "") -> None:
-    """Refuse values outside the bounds of their fields; numbers without bounds must be above 0.
+    """Check each value against the bounds of its field; without bounds, numbers must be above 0.
 
     Args:
-        config: a configuration dataclass, whose parts are checked too.
-        prefix: of its fields' full keys, such as "method.".
+        config: a configuration dataclass; nested dataclasses are checked too.
+        prefix: the beginning of the fields' full keys, such as "method.".
 
     Raises:
-        UserError: names the full key, its value, and what is allowed.
+        UserError: a value is not allowed; the message names its full key and what is allowed.
     """
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)

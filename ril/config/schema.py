@@ -14,7 +14,7 @@ from ril.io.errors import UserError
 
 @dataclass
 class GoalConfig:
-    """When an episode reaches the goal: when it meets every condition that is set (§3.2)."""
+    """The conditions of success; an episode that meets all that are set reaches the goal (§3.2)."""
 
     minimum_return: float | None = any_number(None)
     minimum_final_reward: float | None = any_number(None)
@@ -26,15 +26,16 @@ class EnvironmentConfig:
     """`conf/env/*.yaml`: a Gymnasium environment.
 
     Attributes:
-        name: of its folder below `output_dir`.
-        id: by which Gymnasium makes it.
-        solved_return: mean return from which it counts as solved (§4.1).
-        goal: when an episode succeeds.
+        name: the environment's name in rows, and its folder below `output_dir`.
+        id: the id that is passed to `gymnasium.make`.
+        solved_return: mean return from which the environment counts as solved (§4.1).
+        goal: the conditions under which an episode succeeds.
         observation_low: raw observation that is scaled to −1; None: the space's bounds.
         observation_high: raw observation that is scaled to 1; None: the space's bounds.
         scale_observations: whether methods see scaled observations or raw ones (D5).
         kwargs: passed to `gymnasium.make`.
-        vectorized: whether copies are stepped as arrays where ril has that, bit for bit equal.
+        vectorized: whether to step all copies as arrays where ril implements that; results are
+            bit-identical either way.
     """
 
     name: str = MISSING
@@ -50,14 +51,14 @@ class EnvironmentConfig:
 
 @dataclass
 class MethodConfig:
-    """What every method's configuration has; each method's own is in its file in `ril/methods/`."""
+    """The base of every method's configuration; the method's file in `ril/methods/` extends it."""
 
     name: str = MISSING
 
 
 @dataclass
 class AblationConfig:
-    """What the paper varies (§6.3, §6.4, §7)."""
+    """The values that the paper varies (§6.3, §6.4, §7)."""
 
     k: float = MISSING
     n: float = at_least(1)
@@ -67,7 +68,7 @@ class AblationConfig:
 
 @dataclass
 class EvaluationConfig:
-    """How policies are evaluated during training and scored after it."""
+    """Settings for evaluating policies during training and for scoring them after it."""
 
     episodes: int = MISSING
     every: Any = MISSING
@@ -77,10 +78,10 @@ class EvaluationConfig:
         """Return the number of epochs between two evaluations.
 
         Args:
-            epochs: of the run, of which `every` may be a share.
+            epochs: number of epochs of the run; `every` may be a percentage of it.
 
         Raises:
-            UserError: `every` is neither a count nor a share.
+            UserError: `every` is neither a count nor a percentage.
         """
         if type(self.every) is int:
             return self.every
@@ -94,7 +95,7 @@ class EvaluationConfig:
 
 @dataclass
 class Config:
-    """One run: one cell of one table."""
+    """The configuration of one run, which is one cell of one table."""
 
     env: EnvironmentConfig = part(EnvironmentConfig)
     method: MethodConfig = part(MethodConfig)

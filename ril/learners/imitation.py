@@ -33,7 +33,7 @@ from ril.vectorized.streams import Streams
 
 @dataclass
 class ImitationConfig(MethodConfig):
-    """What self-supervised imitation needs; all that `method=iupe` has."""
+    """Settings of self-supervised imitation; `method=iupe` has no others."""
 
     epochs: int = MISSING
     episodes: int = MISSING
@@ -45,29 +45,30 @@ class ImitationConfig(MethodConfig):
     stopping: StoppingConfig = part(StoppingConfig)
 
 
-_PRE_COPIES = 10  # environments per seed that fill I^pre side by side
-_CHUNK = 8192  # expert states of each seed that go through a network at once
+_PRE_COPIES = 10  # copies of the environment, per seed, that fill I^pre
+_CHUNK = 8192  # expert states of each seed that are passed through a network at once
 
 
 class SelfSupervisedImitation(Stateful):
-    """S agents' inverse dynamics models, pseudo-labels, goal samplers and exploration.
+    """The inverse dynamics models, pseudo-labels, goal samplers and exploration of S agents.
 
     Args:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
-        policy: π_φ, whose episodes I^pre and I^pos consist of.
+        policy: π_φ, which plays the episodes of I^pre and I^pos.
 
     Attributes:
-        expert_states: (M, obs) the expert's states s_t of T^e.
-        pre: I^pre.
-        pos: I^pos.
+        expert_states: (M, obs) the states s_t of the expert's trajectories T^e.
+        pre: I^pre, transitions of the untrained policy.
+        pos: I^pos, transitions of episodes that reached the goal.
         success_ratio: (S,) share of the last epoch's episodes that reached the goal.
-        confidence: (S, M) probability of each of the newest pseudo-labels by M_θ; not part of the
-            state, since each epoch begins with new labels.
-        stopping: which seeds have stopped (line 6).
+        confidence: (S, M) probability that M_θ gives each of the newest pseudo-labels; not part of
+            the checkpoint, since each epoch begins with new labels.
+        stopping: the stopping rule, which knows the seeds that have stopped (line 6).
 
     Raises:
-        UserError: the environment has no goal, or the inverse dynamics' keys contradict each other.
+        UserError: the environment has no goal, or keys of `method.inverse_dynamics` contradict
+            each other.
     """
 
     STATE = ("inverse_dynamics", "pre", "pos", "success_ratio", "stopping", "_streams")
@@ -80,7 +81,7 @@ class SelfSupervisedImitation(Stateful):
         if environment.config.goal == GoalConfig():
             conditions = ", ".join(field.name for field in fields(GoalConfig))
             raise UserError(
-                f"env.goal: is empty; set one of {conditions}, so that ril knows which episodes "
+                f"env.goal is empty: set one of {conditions}, so that ril knows which episodes "
                 "succeed"
             )
         inputs = config.inverse_dynamics.inputs
@@ -132,10 +133,13 @@ class SelfSupervisedImitation(Stateful):
             self.inverse_dynamics.standardize(self.pre.everything())
 
     def sample_dataset(self, limit: float) -> Selection:
-        """Compose I^s of I^pre and I^pos (line 14, of the epoch before).
+        """Compose I^s of I^pre and I^pos (line 14 of the previous epoch).
 
         Args:
-            limit: the largest share of I^pos that may enter I^s, by eq. 2; 1 is no limit.
+            limit: the largest share of I^pos that may enter I^s (eq. 2); 1 for no limit.
+
+        Returns:
+            The transitions of I^s, chosen for each seed.
         """
         uniform = self._streams["goal sampler"].uniform(self.pre.capacity + self.pos.capacity)
         share = np.minimum(limit, self.success_ratio)
@@ -151,7 +155,8 @@ class SelfSupervisedImitation(Stateful):
     def infer_actions(self) -> Tensor:
         """Label the expert's transitions (line 8); return Â (S, M).
 
-        A label is the likeliest action by M_θ, or one drawn from its softmax.
+        A label is the most likely action by M_θ, or a draw from its softmax
+        (`inverse_dynamics.labels`).
         """
         states, following = self._for_all_seeds(self.expert_states, self._expert_next)
         chunks = zip(_chunks(states), _chunks(following), strict=True)
@@ -166,14 +171,14 @@ class SelfSupervisedImitation(Stateful):
 
     @torch.no_grad()
     def epsilon(self, cloning_loss: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """Return each seed's chance to explore, and apply the stopping rule.
+        """Apply the stopping rule, and return each seed's probability of exploring.
 
         Args:
-            cloning_loss: (S,) of this epoch; None where nothing was cloned, so that the stopping
-                rule does not apply.
+            cloning_loss: (S,) mean loss of this epoch's cloning; None without cloning, which
+                skips the stopping rule.
 
         Returns:
-            (S,) `exploration.epsilon`, or the policy's own exploration ratio (§3.4).
+            (S,) `exploration.epsilon`; if that is null, the policy's exploration ratio (§3.4).
         """
         (states,) = self._for_all_seeds(self.expert_states)
         logits = torch.cat([self.policy(x) for x in _chunks(states)], dim=1)
@@ -188,7 +193,8 @@ class SelfSupervisedImitation(Stateful):
         """Append the episodes that reached the goal to I^pos (line 12).
 
         Args:
-            played: this epoch's episodes; each entry has as many of every seed, side by side.
+            played: this epoch's episodes; each entry holds equally many of every seed, in the
+                order of the seeds.
 
         Returns:
             Diagnostics by name, each (S,).
@@ -213,7 +219,7 @@ class SelfSupervisedImitation(Stateful):
         return {"goals": self.success_ratio, "inverse_dynamics_accuracy": accuracy}
 
     def _accuracy(self, episodes: Episodes) -> NDArray[np.float64]:
-        """Return (S·N,) the share of each episode's own actions that M_θ infers correctly."""
+        """Return (S·N,) the share of each episode's actions that M_θ infers correctly."""
         size = episodes.observations.shape[-1]
         states, following = (
             torch.from_numpy(x).to(self.task.device).reshape(len(self.task.seeds), -1, size)

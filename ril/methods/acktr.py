@@ -31,7 +31,7 @@ from ril.vectorized.streams import Streams
 
 @dataclass
 class ACKTRConfig(MethodConfig):
-    """`conf/method/acktr.yaml`, by Stable-Baselines' names."""
+    """Settings of ACKTR by Stable-Baselines' names: `conf/method/acktr.yaml`."""
 
     total_timesteps: int = MISSING
     hidden: list[int] = MISSING
@@ -46,11 +46,11 @@ class ACKTRConfig(MethodConfig):
 
 
 class ACKTR(Stateful):
-    """S policies and S value functions, each with K environments, learning from rewards alone.
+    """S agents, each a policy and a value function in K environments, trained on rewards alone.
 
     Args:
         config: `method` of the configuration.
-        task: environment and seeds; its expert is empty.
+        task: environment and seeds; the expert's trajectories are not used.
     """
 
     STATE = ("epoch", "policy", "value", "actor", "critic", "environments", "_streams")
@@ -78,7 +78,7 @@ class ACKTR(Stateful):
         self.epoch = 0
 
     def train(self) -> Iterator[Progress]:
-        """Train by rollouts, with an update of both networks on each; yield after each."""
+        """Train both networks on one rollout after another; yield after each."""
         if self.epoch == 0:
             self._standardize()
         while self.epoch < self.epochs:
@@ -88,7 +88,7 @@ class ACKTR(Stateful):
             yield Progress.of_rewards(self.epoch, self._seeds, steps, metrics)
 
     def _standardize(self) -> None:
-        """Play random actions, and scale the networks' inputs by the states that they reach."""
+        """Play random actions, and standardize the networks' inputs by the states they reach."""
         shape = self.config.standardize_steps, self.config.n_envs
         chosen = self._random.integers(self._actions, *shape)
         seen = []
@@ -104,8 +104,8 @@ class ACKTR(Stateful):
         """Take T = n_steps steps in all S·K environments, with actions drawn from the policy.
 
         Returns:
-            (T, S·K, obs) scaled states, (T, S·K) actions in them, and the steps that followed:
-            a `Step` whose fields have an axis T in front.
+            (T, S·K, obs) scaled states, (T, S·K) actions in them, and the resulting steps: a
+            `Step` whose fields have a leading axis T.
         """
         uniform = torch.from_numpy(self._streams.uniform(self.config.n_steps, self.config.n_envs))
         observations, actions, steps = [], [], []
@@ -125,7 +125,16 @@ class ACKTR(Stateful):
     def _update(
         self, observations: Floats, actions: NDArray[np.int64], followed: Step
     ) -> dict[str, NDArray[np.float64]]:
-        """Take one K-FAC step of each network on a rollout; return diagnostics, each (S,)."""
+        """Take one K-FAC step of each network on a rollout.
+
+        Args:
+            observations: (T, S·K, obs) scaled states.
+            actions: (T, S·K) actions in them.
+            followed: the resulting steps, with a leading axis T.
+
+        Returns:
+            Diagnostics by name, each (S,).
+        """
         config = self.config
         states = self._by_seed(observations)
         values = self.critic(states).squeeze(-1)
@@ -175,12 +184,12 @@ def standardize_inputs(network: Network, states: Tensor) -> None:
     """Fold a standardization of the inputs into the first layer, in place.
 
     Args:
-        network: of S seeds.
-        states: (S, N, obs), whose mean and deviation are each seed's own.
+        network: networks of S seeds.
+        states: (S, N, obs) whose mean and standard deviation standardize each seed's inputs.
     """
     weight, bias = network.parameters["linear0.weight"], network.parameters["linear0.bias"]
     mean, deviation = states.mean(dim=1, keepdim=True), states.std(dim=1, keepdim=True)
-    weight.div_(deviation.mT + 1e-3)  # which may be 0
+    weight.div_(deviation.mT + 1e-3)  # a deviation may be 0
     bias.sub_((mean.mT * weight).sum(dim=1, keepdim=True))
 
 

@@ -1,4 +1,4 @@
-"""What every method can do, and what it reports after each epoch."""
+"""The interface of every method, and its report after each epoch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Metrics = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Progress:
-    """Where training stands after an epoch.
+    """The state of training after an epoch.
 
     Attributes:
         epoch: epochs done, from 1.
@@ -26,7 +26,7 @@ class Progress:
         pre_samples: random transitions collected before training, per seed.
         stopped: (S,) seeds whose training the stopping rule ended at this epoch or before.
         metrics: named diagnostics, each (S,).
-        pseudo_labels: (S, M) actions given to the expert's transitions; None for no labels.
+        pseudo_labels: (S, M) actions inferred for the expert's transitions; None without labels.
         can_act: whether the policy can act yet, so that it is worth evaluating.
         can_be_best: whether this policy may be selected as the run's best.
     """
@@ -43,12 +43,12 @@ class Progress:
 
     @classmethod
     def of_rewards(cls, epoch: int, seeds: int, steps: int, metrics: Metrics) -> Progress:
-        """Report an epoch of a method that sees no expert.
+        """Report an epoch of a method that uses no expert trajectories.
 
         Args:
             epoch: epochs done.
-            seeds: S.
-            steps: of each seed in its environments so far.
+            seeds: number of seeds S.
+            steps: environment steps of each seed so far.
             metrics: named diagnostics, each (S,).
         """
         return cls(
@@ -65,8 +65,9 @@ class Method(Protocol):
     """A learning algorithm over S seeds; the run decides when it trains, is evaluated and stops.
 
     Attributes:
-        policy: scaled observations to one output per action, of which the largest is chosen.
-        epochs: how many `train` yields, unless the stopping rule ends it before.
+        policy: networks from scaled observations to one output per action; the greedy action is
+            the one with the largest output.
+        epochs: number of epochs that `train` yields, unless the stopping rule ends it earlier.
     """
 
     policy: Network
@@ -78,7 +79,7 @@ class Method(Protocol):
         """Train, yielding after each epoch; after `load_state_dict`, resume with the next one."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that the next epoch depends on."""
+        """Return everything that the next epoch depends on."""
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from a state that `state_dict` returned."""

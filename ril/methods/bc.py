@@ -24,7 +24,7 @@ from ril.vectorized.streams import Streams
 
 @dataclass
 class BCConfig(MethodConfig):
-    """`conf/method/bc.yaml`: behavioral cloning."""
+    """Settings of behavioral cloning: `conf/method/bc.yaml`."""
 
     epochs: int = MISSING
     network: NetworkConfig = part(NetworkConfig)
@@ -58,7 +58,7 @@ class BC(Stateful):
         self.epoch = 0
 
     def train(self) -> Iterator[Progress]:
-        """Train by minibatch steps of cross-entropy; yield after each epoch."""
+        """Train on minibatches by cross-entropy; yield after each epoch."""
         seeds = len(self._actions)
         while self.epoch < self.epochs:
             self.epoch += 1

@@ -1,4 +1,4 @@
-"""Deep Q-networks: RIL's Q-learning alone (Mnih et al., 2013), or with what came after.
+"""Deep Q-networks (Mnih et al., 2013): RIL's Q-learning alone, with optional extensions.
 
 `method=dqn` is the paper's DQN₁. With prioritized replay (Schaul et al., 2015), double targets (van
 Hasselt et al., 2016) and dueling streams (Wang et al., 2016) it is DQN₂, in `dqn_prioritized.py`.
@@ -26,7 +26,7 @@ from ril.vectorized.state import Stateful
 
 @dataclass
 class LinearExplorationConfig:
-    """ε, as it falls along a straight line and then stays."""
+    """The schedule of ε: linear from its initial to its final value, then constant."""
 
     initial_epsilon: float = within(0, 1)
     final_epsilon: float = within(0, 1)
@@ -35,7 +35,7 @@ class LinearExplorationConfig:
 
 @dataclass
 class DQNConfig(MethodConfig):
-    """`conf/method/dqn.yaml` and `dqn_prioritized.yaml`: deep Q-networks."""
+    """Settings of deep Q-networks: `conf/method/dqn.yaml` and `dqn_prioritized.yaml`."""
 
     total_timesteps: int = MISSING
     network: NetworkConfig = part(NetworkConfig)
@@ -56,7 +56,7 @@ class DQN(Stateful):
 
     Args:
         config: `method` of the configuration.
-        task: environment and seeds; its expert is empty.
+        task: environment and seeds; the expert's trajectories are not used.
     """
 
     STATE = ("epoch", "policy", "q_learning")
@@ -80,7 +80,10 @@ class DQN(Stateful):
             yield Progress.of_rewards(self.epoch, self._seeds, until, metrics)
 
     def _epsilon(self, until: int) -> NDArray[np.float64]:
-        """Return (T, S) the chances to explore in the next T steps; 1 before `learning_starts`."""
+        """Return (T, S) the ε of each of the next T steps, up to step `until` of the run.
+
+        Before `learning_starts`, ε is 1.
+        """
         line = self.config.exploration
         steps = np.arange(self.q_learning.steps, until)
         fallen = np.minimum(1.0, steps / line.steps)

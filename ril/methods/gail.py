@@ -30,7 +30,7 @@ from ril.vectorized.streams import Streams
 
 @dataclass
 class GAILConfig(MethodConfig):
-    """`conf/method/gail.yaml`."""
+    """Settings of GAIL: `conf/method/gail.yaml`."""
 
     total_timesteps: int = MISSING
     discriminator: DiscriminatorConfig = part(DiscriminatorConfig)
@@ -38,7 +38,7 @@ class GAILConfig(MethodConfig):
 
 
 class GAIL:
-    """S policies, each rewarded by a discriminator that tells its pairs (s, a) from the expert's.
+    """S policies, each rewarded by a discriminator between its pairs (s, a) and the expert's.
 
     Args:
         config: `method` of the configuration.
@@ -96,7 +96,7 @@ class GAIL:
             )
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that the next round depends on."""
+        """Return everything that the next round depends on."""
         return {
             "epoch": self.epoch,
             "discriminator": self.discriminator.state_dict(),
@@ -112,7 +112,7 @@ class GAIL:
 
 
 def _improved(agent: PPOAgent, rewards: Floats) -> Tensor:
-    """Take a policy step; return the actor after it."""
+    """Improve the policy by PPO on the rewards (N,) of its rollout; return its parameters (P,)."""
     agent.improve(rewards)
     return agent.actor()
 

@@ -34,7 +34,7 @@ from ril.vectorized.updates import ClippedAdam
 
 @dataclass
 class RemappingConfig:
-    """ILPO's second step: which action a latent one is."""
+    """Settings of ILPO's second step, which maps latent actions to the environment's actions."""
 
     hidden: list[int] = MISSING
     learning_rate: float = MISSING
@@ -46,7 +46,7 @@ class RemappingConfig:
 
 @dataclass
 class ILPOConfig(MethodConfig):
-    """`conf/method/ilpo.yaml`: imitating latent policies from observation."""
+    """Settings of ILPO: `conf/method/ilpo.yaml`."""
 
     epochs: int = MISSING
     latent_policy: LatentPolicyConfig = part(LatentPolicyConfig)
@@ -59,6 +59,9 @@ class ILPO(Stateful):
     Args:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
+
+    Raises:
+        UserError: a key of the configuration is out of range or contradicts another.
     """
 
     STATE = (
@@ -126,7 +129,7 @@ class ILPO(Stateful):
             if imitating:
                 self._latent_loss = self._learn_latent_policy()
                 metrics = {"latent_loss": self._latent_loss}
-            else:  # policies are evaluated only now, so the first half's last loss is repeated
+            else:  # only now are policies evaluated, so each point repeats the first half's loss
                 remapping_loss = self._learn_remapping()
                 metrics = {"latent_loss": self._latent_loss, "remapping_loss": remapping_loss}
             expert_epochs = min(self.epoch, self.config.epochs)
@@ -177,7 +180,12 @@ class ILPO(Stateful):
 
     @torch.no_grad()
     def _act(self, uniform: Tensor, epsilon: Tensor) -> None:
-        """Take one step of each seed; store the latent action that explains the step best."""
+        """Take one step of each seed; store the latent action that best explains the step.
+
+        Args:
+            uniform: (S, 2, 1) numbers in [0, 1) that decide the ε-greedy actions.
+            epsilon: (S,) probability of a random action.
+        """
         observations = self.environments.observations
         actions = epsilon_greedy(self.policy.infer(observations), epsilon, uniform, "uniform")
         step = self.environments.step(actions.flatten().cpu().numpy())
@@ -192,7 +200,7 @@ class ILPO(Stateful):
 
 
 def _unit_of_changes(name: str, environment: Environment, changes: Tensor) -> Tensor:
-    """Return (obs,) the factors on scaled changes (M, obs) before they are predicted (L2)."""
+    """Return (obs,) the factors that turn scaled changes (M, obs) into those predicted (L2)."""
     if name == "raw":
         return torch.from_numpy((environment.high - environment.low) / 2).to(changes)
     if name == "standardized":

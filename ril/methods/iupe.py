@@ -14,7 +14,7 @@ def build(config: ImitationConfig, task: Task) -> Algorithm1:
     """Make IUPE: Algorithm 1 without line 13 and without eq. 2.
 
     Raises:
-        UserError: eq. 2 is asked for.
+        UserError: `goal_sampler.upper_limit` is true.
     """
     if config.goal_sampler.upper_limit:
         raise UserError(

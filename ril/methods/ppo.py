@@ -25,7 +25,7 @@ from ril.vectorized.processes import WorkerPool
 
 @dataclass
 class ScheduledPPOConfig(PPOConfig):
-    """PPO's settings, and those that RL Baselines3 Zoo adds."""
+    """Settings of PPO, including those that RL Baselines3 Zoo adds."""
 
     normalize: bool = MISSING
     linear_schedule: bool = MISSING
@@ -33,7 +33,7 @@ class ScheduledPPOConfig(PPOConfig):
 
 @dataclass
 class PPOMethodConfig(MethodConfig):
-    """`conf/method/ppo.yaml`."""
+    """Settings of `method=ppo`: `conf/method/ppo.yaml`."""
 
     total_timesteps: int = MISSING
     ppo: ScheduledPPOConfig = part(ScheduledPPOConfig)
@@ -44,7 +44,7 @@ class PPO:
 
     Args:
         config: `method` of the configuration.
-        task: environment and seeds; nothing of an expert is used.
+        task: environment and seeds; the expert's trajectories are not used.
     """
 
     def __init__(self, config: PPOMethodConfig, task: Task) -> None:
@@ -63,7 +63,7 @@ class PPO:
         self.epoch = 0
 
     def train(self) -> Iterator[Progress]:
-        """Train by rollouts, with PPO's update on each; yield after each."""
+        """Train by PPO's update on one rollout after another; yield after each."""
         seeds = len(self.policy.flat)
         while self.epoch < self.epochs:
             self.epoch += 1
@@ -76,7 +76,7 @@ class PPO:
             yield Progress.of_rewards(self.epoch, seeds, steps, metrics)
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that the next epoch depends on."""
+        """Return everything that the next epoch depends on."""
         return {"epoch": self.epoch, "agents": self.agents.each(PPOAgent.state_dict)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -87,7 +87,7 @@ class PPO:
 
 
 def _rollout_and_update(agent: PPOAgent) -> tuple[Tensor, dict[str, float]]:
-    """Train one agent for an epoch; return its actor and its update's diagnostics."""
+    """Train one agent for an epoch; return its actor's parameters (P,) and its diagnostics."""
     agent.collect()
     agent.improve()
     return agent.actor(), agent.diagnostics()

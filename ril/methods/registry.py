@@ -1,4 +1,4 @@
-"""The methods by name: each file of this folder that has a `SPEC` is one."""
+"""Find methods by name: `conf/method/<name>.yaml`, and `SPEC` in `ril/methods/<name>.py`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def spec(name: str) -> MethodSpec:
     """Import one method's file and return its specification.
 
     Raises:
-        UserError: there is no such method.
+        UserError: no method has this name.
     """
     if name not in names():
         raise UserError(f"method.name={name}: must be one of {', '.join(names())}")

@@ -31,14 +31,14 @@ from ril.vectorized.streams import Streams
 
 @dataclass
 class QLearningConfig(TargetNetworkConfig):
-    """RIL's reinforcement half (Alg. 1, line 13)."""
+    """Settings of RIL's reinforcement half (line 13)."""
 
     replay_trajectories: float = MISSING
 
 
 @dataclass
 class RILConfig(ImitationConfig):
-    """`conf/method/ril.yaml`."""
+    """Settings of RIL: `conf/method/ril.yaml`."""
 
     imitation: bool = MISSING
     reinforcement: bool = MISSING
@@ -46,22 +46,25 @@ class RILConfig(ImitationConfig):
 
 
 class Cloner(Protocol):
-    """Line 9: what trains the policy to take the labels at the expert's states."""
+    """The interface of line 9: trains the policy on the pseudo-labels of the expert's states."""
 
     def train(self, observations: Tensor, labels: Tensor) -> Tensor:
         """Train on states (M, obs) with labels (S, M); return each seed's mean loss (S,)."""
 
 
 class Correction(Protocol):
-    """Line 13: what corrects the policy by the rewards of its own episodes."""
+    """The interface of line 13: corrects the policy by the rewards of its own episodes."""
 
     def train(self, epoch: int, episodes: Episodes, labels: Tensor | None) -> Metrics:
         """Train on one episode of each seed.
 
         Args:
-            epoch: from 1.
-            episodes: S of them, in the order of the seeds.
-            labels: (S, M) of line 8; None without imitation.
+            epoch: number of this epoch, from 1.
+            episodes: S episodes, in the order of the seeds.
+            labels: (S, M) pseudo-labels of line 8; None without imitation.
+
+        Returns:
+            Diagnostics by name, each (S,).
         """
 
 
@@ -73,7 +76,7 @@ class Algorithm1(Stateful):
         task: environment, expert states, seeds.
         policy: π_φ.
         imitation: lines 3–5, 7, 8, 12 and 14.
-        cloner: line 9; None leaves out all of imitation.
+        cloner: line 9; None leaves out lines 4–5, 7–9, 12 and 14.
         correction: line 13; None leaves it out.
     """
 
@@ -95,8 +98,8 @@ class Algorithm1(Stateful):
         self.imitation = imitation
         self.cloner = cloner
         self.correction = correction
-        # Without line 13 the policy is the same in all of an epoch's episodes, so that they can be
-        # played side by side.
+        # Without line 13 the policy does not change between an epoch's episodes, so they can be
+        # played in parallel.
         self.rounds = 1 if correction is None else config.episodes
         side_by_side = config.episodes // self.rounds
         self.explorer = Explorer(config.exploration, task, policy, side_by_side)
@@ -109,7 +112,7 @@ class Algorithm1(Stateful):
             yield self.train_epoch()
 
     def train_epoch(self) -> Progress:
-        """Run lines 7 to 14 once; before the first time, lines 4 and 5."""
+        """Run one epoch, lines 7 to 14; before the first epoch, run lines 4 and 5."""
         imitation, metrics, labels = self.imitation, {}, None
         if self.cloner is not None:
             imitation.generate_pre()  # lines 4–5: I^pre, once
@@ -151,7 +154,7 @@ class Algorithm1(Stateful):
         )
 
     def _limit(self) -> float:
-        """Equation 2: the largest share of I^pos in I^s."""
+        """Return the largest share of I^pos in I^s by equation 2; 1 without that limit."""
         if not self.config.goal_sampler.upper_limit:
             return 1.0
         return positive_limit(self.epoch, self.task.ablation.n, self.task.ablation.k)
@@ -163,7 +166,7 @@ class Algorithm1(Stateful):
 
 
 class EpisodicQLearning(Stateful):
-    """Line 13 by Q-learning (eq. 1) on the policy's own outputs.
+    """Line 13 as Q-learning (eq. 1) on the policy's own outputs.
 
     Args:
         config: `method` of the configuration.
@@ -186,13 +189,17 @@ class EpisodicQLearning(Stateful):
         )
 
     def train(self, epoch: int, episodes: Episodes, labels: Tensor | None) -> Metrics:
-        """Remember one episode of each seed and train on minibatches of the memory."""
+        """Store one episode of each seed, then train on minibatches of the memory."""
         self.q_learning.replay.append(episodes)
         return {"td_loss": _array(self.q_learning.train(self.updates))}
 
 
 def build(config: RILConfig, task: Task) -> Algorithm1:
-    """Make RIL: Algorithm 1 with Q-learning; either half may be left out."""
+    """Make RIL: Algorithm 1 with Q-learning, of which either half may be left out.
+
+    Raises:
+        UserError: both halves are left out.
+    """
     refuse_nothing(config.imitation, config.reinforcement)
     policy = initial_policy(config.network, task)  # line 2: π_φ
     return Algorithm1(
@@ -220,7 +227,7 @@ def refuse_nothing(imitation: bool, reinforcement: bool) -> None:
     """Refuse a configuration that leaves out both halves.
 
     Raises:
-        UserError: it does.
+        UserError: both are false.
     """
     if not (imitation or reinforcement):
         raise UserError(
@@ -230,7 +237,7 @@ def refuse_nothing(imitation: bool, reinforcement: bool) -> None:
 
 
 def cloning(config: ImitationConfig, task: Task, policy: Network) -> Cloning:
-    """Make line 9 for a policy."""
+    """Make line 9, the cloning of pseudo-labels, for a policy."""
     return Cloning(
         policy,
         config.cloning,
@@ -240,16 +247,16 @@ def cloning(config: ImitationConfig, task: Task, policy: Network) -> Cloning:
 
 
 def empty_memory(trajectories: float, task: Task) -> Replay:
-    """Make a replay memory for some mean expert trajectories (§3.4)."""
+    """Make a replay memory for so many expert trajectories of mean length (§3.4)."""
     size = task.environment.observation_size
     return Replay(len(task.seeds), steps_of(trajectories, task), size, task.device)
 
 
 def steps_of(trajectories: float, task: Task) -> int:
-    """Return the transitions in some mean expert trajectories."""
+    """Return the number of transitions in so many expert trajectories of mean length."""
     return max(1, round(trajectories * task.expert.mean_length))
 
 
 def _array(losses: Tensor) -> Any:
-    """(S,) losses as an array of doubles."""
+    """Return (S,) losses as an array of doubles."""
     return losses.double().cpu().numpy()

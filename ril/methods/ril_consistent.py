@@ -1,4 +1,4 @@
-"""RIL whose two halves are one loss of one consistent network: docs/methods/ril_consistent.md."""
+"""Consistent RIL: one loss for both halves, on one network (docs/methods/ril_consistent.md)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ril.vectorized.state import Stateful
 
 @dataclass
 class RILConsistentConfig(ImitationConfig):
-    """`conf/method/ril_consistent.yaml`."""
+    """Settings of consistent RIL: `conf/method/ril_consistent.yaml`."""
 
     imitation: bool = MISSING
     reinforcement: bool = MISSING
@@ -35,13 +35,13 @@ class RILConsistentConfig(ImitationConfig):
 
 
 class BothHalves(Stateful):
-    """Lines 9 and 13 as one descent, after each episode.
+    """Lines 9 and 13 as gradient steps on one loss, taken after each episode.
 
     Args:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
         learning: the consistent networks and their loss.
-        imitation: gives the labels their confidence.
+        imitation: the imitation half, whose confidence in a label decides whether it is cloned.
     """
 
     STATE = ("learning",)
@@ -59,7 +59,7 @@ class BothHalves(Stateful):
         self.imitation = imitation
 
     def train(self, epoch: int, episodes: Episodes, labels: Tensor | None) -> Metrics:
-        """Remember one episode of each seed and train on it and on the labels (lines 9, 13)."""
+        """Store one episode of each seed, then train on the memory and the labels (lines 9, 13)."""
         settings, ablation = self.config.q_learning, self.task.ablation
         self.learning.remember(episodes)
         rate, weight = settings.learning_rate, settings.imitation_weight
@@ -80,7 +80,7 @@ class BothHalves(Stateful):
 
 
 class DeferredCloning(Stateful):
-    """Line 9 where line 13 does its work: only measures the loss.
+    """Line 9 if line 13 also clones the labels: it measures the loss and trains nothing.
 
     Args:
         policy: π_φ.
@@ -99,9 +99,9 @@ class DeferredCloning(Stateful):
 
 
 def build(config: RILConsistentConfig, task: Task) -> Algorithm1:
-    """Make consistent RIL: Algorithm 1 with lines 9 and 13 as one descent.
+    """Make consistent RIL: Algorithm 1 with lines 9 and 13 merged into one loss.
 
-    Without rewards (`reinforcement=false`) line 9 is RIL's.
+    With `reinforcement=false`, line 9 is RIL's.
 
     Raises:
         UserError: `n_steps` is longer than an episode, or both halves are left out.
@@ -123,12 +123,12 @@ def _learning(config: RILConsistentConfig, task: Task) -> ConsistentLearning:
     settings = config.q_learning
     size, actions = task.environment.observation_size, task.environment.action_count
     steps = task.environment.max_episode_steps
-    if settings.n_steps > steps:  # a truncated episode would leave no transition
+    if settings.n_steps > steps:  # a truncated episode would yield no n-step transition
         raise UserError(
             f"method.q_learning.n_steps={settings.n_steps}: must be within 1..{steps}, "
             "the steps of an episode"
         )
-    # Attention over one token would add a product and no information (D2).
+    # V has no attention: over a single token it would add a product, but no information (D2).
     value = replace(
         mlp(config.network, size, 1), hidden=tuple(settings.value_hidden), attention=False
     )
@@ -138,7 +138,7 @@ def _learning(config: RILConsistentConfig, task: Task) -> ConsistentLearning:
     recent = None
     if settings.replay_recent is not None:
         recent = steps_of(settings.replay_recent, task)
-    # One of its updates costs as much as four of Q-learning's, which evaluate their network once.
+    # An update costs as much as four of RIL's Q-learning, to which `worth_compiling` is adjusted.
     updates = 4 * config.epochs * config.episodes * settings.updates
     return ConsistentLearning(
         Network.initialize(architecture, task.seeds, "policy", task.device),

@@ -22,7 +22,7 @@ from ril.vectorized.state import Stateful
 
 @dataclass
 class RILSequentialConfig(ImitationConfig):
-    """`conf/method/ril_sequential.yaml`."""
+    """Settings of RIL*: `conf/method/ril_sequential.yaml`."""
 
     total_timesteps: int = MISSING
     q_learning: OnlineQLearningConfig = part(OnlineQLearningConfig)
@@ -34,6 +34,9 @@ class SequentialRIL(Stateful):
     Args:
         config: `method` of the configuration.
         task: environment, expert states, seeds.
+
+    Raises:
+        UserError: `method.stopping.patience` is set.
     """
 
     STATE = ("first_half", "q_learning", "epoch")
@@ -69,13 +72,13 @@ class SequentialRIL(Stateful):
         while self.epoch < self.epochs:
             self.epoch += 1
             if self.epoch <= self.config.epochs:
-                # The clone is where the second half starts from, so it cannot be RIL*'s best.
+                # A policy of the first half is only the second's start, so none can be the best.
                 yield replace(self.first_half.train_epoch(), can_be_best=False)
             else:
                 yield self._reinforce()
 
     def _reinforce(self) -> Progress:
-        """Run lines 11 and 13 for the next part of the budget; ε is RIL's (§3.4)."""
+        """Run lines 11 and 13 for the next part of the budget, with RIL's ε (§3.4)."""
         part, parts = self.epoch - self.config.epochs, self.epochs - self.config.epochs
         until = part * self.config.total_timesteps // parts
         epsilon = self.imitation.epsilon(None)

@@ -1,4 +1,4 @@
-"""What ril knows of a method without training it."""
+"""The specification of a method: what ril must know about it before it is trained."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ril.environments import Environment
 from ril.methods.base import Method
 from ril.task import Task
 
-#: (environment, demonstrations, seeds, episodes) to returns (S, episodes).
+#: A function from (environment, demonstrations, seeds, episodes) to returns (S, episodes).
 Measure = Callable[[Environment, Demonstrations, list[int], int], NDArray[np.float64]]
 
 
@@ -24,9 +24,9 @@ class Shown:
     """A diagnostic that the display shows during training.
 
     Attributes:
-        label: by which the display names it.
+        label: its name on the display.
         metric: its name in `Progress.metrics`.
-        form: format specification of its mean over seeds.
+        form: format specification for its mean over seeds.
     """
 
     label: str
@@ -41,15 +41,15 @@ INVERSE_DYNAMICS = Shown("inverse dynamics", "inverse_dynamics_accuracy", ".0%")
 
 @dataclass(frozen=True)
 class MethodSpec:
-    """A method, as `method=<name>` chooses it; each file of `ril/methods/` has its own `SPEC`.
+    """The specification of one method, which is `SPEC` in the method's file.
 
     Attributes:
-        name: of the method; also of its Python, YAML and documentation files.
+        name: the value of `method=`, and the name of its Python, YAML and documentation files.
         config: dataclass of the keys below `method`.
         build: makes the method; None for a reference, which learns nothing.
-        measure: of a reference, its returns.
-        expert: what it is given of the expert's trajectories.
-        budget: the key of `method` by which training ends; "" for a reference.
+        measure: measures the returns of a reference; None for a method.
+        expert: the part of the expert's trajectories that it is given.
+        budget: the key of `method` that sets the length of training; "" for a reference.
         uses_equation_2: whether k and n can change its numbers.
         compiles: whether `compile` can change the last bits of its numbers.
         shown: diagnostics for the display.
@@ -67,12 +67,12 @@ class MethodSpec:
 
     @property
     def idle_ablations(self) -> tuple[str, ...]:
-        """Keys of `ablation` that cannot change the method's numbers."""
+        """The keys of `ablation` that cannot change the method's numbers."""
         eq_2 = () if self.uses_equation_2 else ("k", "n")
         return eq_2 if self.expert != "nothing" else (*eq_2, "trajectories")
 
     def view(self, expert: Demonstrations, environment: Environment) -> StateTransitions:
-        """Return what the method is given of an expert's trajectories."""
+        """Return the part of the expert's trajectories that the method is given."""
         if self.expert == "nothing":
             return StateTransitions.none(environment)
         if self.expert == "states":

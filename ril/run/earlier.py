@@ -1,4 +1,4 @@
-"""What earlier starts of a run left in its folder, or under other demonstrations beside it."""
+"""Find what earlier starts of a run left: its rows, or a checkpoint with other demonstrations."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ril.io.rows import load_results
 from ril.run.identity import run_id
 from ril.run.provenance import command
 
-#: What reading a damaged JSON or YAML file of a run may raise.
+#: Exceptions that reading a damaged JSON or YAML file of a run may raise.
 DAMAGED = (
     *(OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError),
     yaml.YAMLError,
@@ -23,14 +23,14 @@ DAMAGED = (
 
 
 def has_rows(folder: Path, config: Config) -> bool:
-    """Return whether a run has left its rows; remove leftovers of an interrupted end.
+    """Return whether a run's rows exist; if so, remove leftovers of an interrupted end.
 
     Args:
-        folder: of the run, or of one beside it.
-        config: of the run.
+        folder: the run's folder.
+        config: the run's configuration.
 
     Raises:
-        UserError: the file of rows holds others than the run's.
+        UserError: `results.csv` cannot be read, or does not hold the rows of this run.
     """
     path = folder / "results.csv"
     if not path.exists():
@@ -45,22 +45,24 @@ def has_rows(folder: Path, config: Config) -> bool:
     if rows["seed"].tolist() != config.seeds or set(rows["run_id"]) != {folder.name}:
         raise UserError(f"{path}: does not hold a row per seed of {folder.name}; {again}")
     if any((folder / name).exists() for name in ("checkpoint.pt", ".lock")):
-        # Another process may still be ending the run, or the disk may be read-only by now.
+        # Another process may still be ending the run, or the disk may have become read-only.
         with suppress(BusyError, UserError, OSError), claimed(folder):
             (folder / "checkpoint.pt").unlink(missing_ok=True)
     return True
 
 
 def refuse_changed_demonstrations(folder: Path, config: Config, sha256: str) -> None:
-    """Refuse to abandon a stopped run because its demonstrations have changed since.
+    """Refuse to start from scratch if a stopped run's demonstrations have changed since.
+
+    Without this check a changed file would start a new run and silently abandon the stopped one.
 
     Args:
-        folder: of the run.
-        config: of the run.
-        sha256: of the demonstrations now.
+        folder: the run's folder.
+        config: the run's configuration.
+        sha256: hash of the demonstrations as they are now.
 
     Raises:
-        UserError: there is a checkpoint of this run with the former demonstrations.
+        UserError: a checkpoint of this run with the earlier demonstrations exists.
     """
     for checkpoint in folder.parent.glob("*/checkpoint.pt"):
         other = checkpoint.parent
@@ -72,7 +74,7 @@ def refuse_changed_demonstrations(folder: Path, config: Config, sha256: str) -> 
             settings = yaml.safe_load((other / "config.yaml").read_text(encoding="utf-8"))
             same_file = settings["demonstrations"] == config.demonstrations
         except DAMAGED:
-            continue  # of another run, which reports it itself
+            continue  # the other run reports its damaged files when it is resumed
         if same_file:
             raise UserError(
                 f"demonstrations={config.demonstrations}: has changed since the stopped run in "

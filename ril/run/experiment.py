@@ -20,16 +20,16 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
     """Train and score one cell.
 
     Args:
-        config: what to run.
-        display: what shows it.
-        variant: the keys with non-default values, for the column of that name; see `Row`.
+        config: configuration of the run.
+        display: shows the run to the user.
+        variant: the keys with non-default values, for the column `variant`; see `Row`.
 
     Returns:
         The run's folder, `<output_dir>/<env>/<method>/<run_id>`; `results.csv` in it has a row
         per seed.
 
     Raises:
-        UserError: something that was asked for cannot be used; no row has been written.
+        UserError: a value or file cannot be used; no row has been written.
         Stopped: the user stopped it; the message says how to resume.
     """
     cell = prepare(config)
@@ -50,7 +50,8 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
             claimed(cell.folder, new=not config.resume, wait=waits_for) as claim,
             stop_on_signals() as stop,
         ):
-            if config.resume and has_rows(claim.folder, config):  # of the process waited for
+            # The process that held the folder may have written the rows meanwhile.
+            if config.resume and has_rows(claim.folder, config):
                 display.finished(claim.folder / "results.csv", skipped=True)
                 return claim.folder
             if not claim.exclusive:

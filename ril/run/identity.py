@@ -1,4 +1,4 @@
-"""What identifies a run: a hash of all that can change its numbers, and of nothing else."""
+"""Identify a run by a hash of everything that can change its numbers, and of nothing else."""
 
 from __future__ import annotations
 
@@ -10,19 +10,24 @@ from pathlib import Path
 from ril.config.schema import Config
 from ril.methods.registry import spec
 
-#: Keys that cannot change a number; the demonstrations enter by their content.
+#: Keys that cannot change a number; demonstrations are hashed by content, not by path.
 _NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes", "logging")
 
 
 def run_id(config: Config, demonstrations_sha256: str) -> str:
-    """Return ten hexadecimal digits that identify a run's numbers."""
+    """Return ten hexadecimal digits that identify a run.
+
+    Args:
+        config: the run's configuration.
+        demonstrations_sha256: hash of the demonstrations' content.
+    """
     content = dataclasses.asdict(config)
     for key in _NOT_IN_RUN_ID:
         del content[key]
-    del content["env"]["vectorized"]  # bit for bit equal
+    del content["env"]["vectorized"]  # results are bit-identical either way
     content["demonstrations"] = demonstrations_sha256
     method = spec(config.method.name)
-    # What auto decides may differ between machines, as the last bits may anyway.
+    # auto may decide differently on another machine, where the last bits may differ anyway.
     if config.compile == "auto" or not method.compiles:
         del content["compile"]
     for key in method.idle_ablations:
@@ -32,6 +37,6 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
 
 
 def run_folder(config: Config, demonstrations_sha256: str) -> Path:
-    """Return where a cell's run is kept: `<output_dir>/<env>/<method>/<run_id>`."""
+    """Return the folder of a run: `<output_dir>/<env>/<method>/<run_id>`."""
     identifier = run_id(config, demonstrations_sha256)
     return Path(config.output_dir) / config.env.name / config.method.name / identifier

@@ -19,24 +19,30 @@ from ril.run.training import Display
 
 @runtime_checkable
 class Logger(Protocol):
-    """A class that `logging=…` names in `_target_`; its constructor gets the group's other keys."""
+    """The interface of a logger, the class that `_target_` in `conf/logging/*.yaml` names.
+
+    Its constructor gets the other keys of that file.
+    """
 
     def start(self, config: Config, folder: Path) -> None:
         """Start or resume a run; the folder's name is its run_id."""
 
     def log(self, points: Sequence[CurvePoint]) -> None:
-        """Log the evaluations of one epoch: a point per seed, each once per start of the run."""
+        """Log the evaluations of one epoch, a point per evaluated seed.
+
+        A resumed run logs the points after its checkpoint again.
+        """
 
     def finish(self) -> None:
-        """Close the log: the run has finished or stopped, or was never started."""
+        """Close the log after the run has finished, stopped or failed to start."""
 
 
 def make_logger(settings: Mapping[str, Any] | None, name: str | None) -> Logger | None:
     """Make the logger that `logging` names.
 
     Args:
-        settings: `_target_`, and the arguments of its constructor; None for no logger.
-        name: the user's choice of the group, for messages.
+        settings: `_target_` and the arguments of its constructor; None for no logger.
+        name: the value of `logging=` on the command line, for messages.
 
     Raises:
         UserError: the class cannot be imported, is not a logger, or refuses its arguments.
@@ -59,8 +65,8 @@ class LoggedDisplay:
     """A display that also passes each new point of the curve to a logger.
 
     Args:
-        display: that shows the run.
-        logger: that gets the curve.
+        display: shows the run to the user.
+        logger: gets the points.
     """
 
     def __init__(self, display: Display, logger: Logger) -> None:
@@ -76,7 +82,7 @@ class LoggedDisplay:
     def advanced(self, progress: Progress, record: Record) -> None:
         """See `Display`."""
         self._display.advanced(progress, record)
-        if self._logged is None:  # an earlier start has logged the points of its checkpoint
+        if self._logged is None:  # earlier starts have logged the points in the checkpoint
             self._logged = sum(point.epoch < progress.epoch for point in record.curve)
         if new := record.curve[self._logged :]:
             self._logger.log(new)
@@ -84,10 +90,10 @@ class LoggedDisplay:
 
 
 class TensorBoard:
-    """Write scalars to `<run>/tensorboard/`: a TensorBoard run per seed, and their `mean`.
+    """A logger to `<run>/tensorboard/`: a TensorBoard run per seed, and one of their `mean`.
 
     The step is the number of samples (§5.2.2), so that imitation and reinforcement learning can be
-    compared. A resumed run purges the points that it will write again.
+    compared. A resumed run purges the points after its checkpoint, which it writes again.
 
     Raises:
         ImportError: the package is not installed.

@@ -1,4 +1,4 @@
-"""Prepare a cell: check what is asked for, and load what its method is given."""
+"""Prepare a cell: check its configuration, and load its environment and demonstrations."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from ril.vectorized.processes import usable_processes
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell that can be run.
+    """A cell with everything that its run needs.
 
     Attributes:
-        config: of the run.
-        spec: of its method.
-        environment: the task.
+        config: configuration of the run.
+        spec: specification of its method.
+        environment: the environment in which it is trained and evaluated.
         demonstrations: all trajectories of the expert.
-        given: those that the method is trained on.
-        demonstrations_path: of the file that they come from.
-        folder: `<output_dir>/<env>/<method>/<run_id>`.
+        given: the first `ablation.trajectories` of them, on which the method is trained.
+        demonstrations_path: the file of the demonstrations.
+        folder: the run's folder, `<output_dir>/<env>/<method>/<run_id>`.
     """
 
     config: Config
@@ -44,21 +44,21 @@ class Cell:
 
     @property
     def run_id(self) -> str:
-        """The hash of all that can change the run's numbers."""
+        """The hash of everything that can change the run's numbers."""
         return self.folder.name
 
     def build_method(self) -> Method | None:
-        """Make the method; a reference has none, since it is not trained.
+        """Make the method; return None for a reference (`random`, `expert`), which has no training.
 
         Raises:
-            UserError: the method cannot work with a value of its configuration.
+            UserError: the method does not accept a value of its configuration.
         """
         if self.spec.build is None:
             return None
         return self.spec.build(self.config.method, self.task())
 
     def task(self) -> Task:
-        """Return what the method is given."""
+        """Return the task that the method is given."""
         config = self.config
         return Task(
             self.environment,
@@ -75,7 +75,7 @@ def prepare(config: Config) -> Cell:
     """Check a configuration and load its environment and demonstrations.
 
     Raises:
-        UserError: something that was asked for cannot be used; nothing has been written.
+        UserError: a value or file cannot be used; nothing has been written.
     """
     torch.set_num_threads(1)
     environment = load_environment(config.env)

@@ -1,4 +1,4 @@
-"""The origin of a run's numbers: code, versions, machine, command."""
+"""Record where a run's numbers come from: code, versions, machine, command."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ril import __version__
 
 _LIBRARIES = ("torch", "numpy", "gymnasium", "stable-baselines3", "hydra-core", "pandas")
 _PACKAGE = Path(__file__).parents[1]
-#: Folders whose code cannot change a number of a run.
+#: Folders of `ril/` whose code cannot change a number of a run.
 _SHOWS_ONLY = ("report", "cli")
 
 
@@ -39,7 +39,7 @@ def command() -> str:
 
 
 def origin(identifier: str) -> dict[str, str]:
-    """Return what must be the same when a run resumes, so that its rows are of one version.
+    """Return what must be the same when a run resumes, so that one version computes all its rows.
 
     Args:
         identifier: the run's `run_id`.
@@ -67,7 +67,7 @@ def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
 
     Args:
         demonstrations: path of the file.
-        sha256: of its content.
+        sha256: hash of its content.
     """
     return {
         "command": command(),

@@ -16,15 +16,15 @@ from ril.methods.base import Progress
 
 
 class Record:
-    """The curve, and the best and last policies, of S seeds; a stopped seed's no longer changes.
+    """The curve and the best and last policies of S seeds; those of a stopped seed do not change.
 
     Attributes:
         curve: all evaluations so far.
         best: (S, P) parameters of each seed's best policy.
         last: (S, P) parameters of each seed's last policy.
-        best_aer: (S,) mean return of the best policy's selection episodes.
-        best_epoch: (S,) after which it was found.
-        samples_to_best: (S,) samples used by then.
+        best_aer: (S,) mean return of the best policy in the episodes that selected it.
+        best_epoch: (S,) epoch after which the best policy was evaluated.
+        samples_to_best: (S,) samples used up to that epoch (§5.2.2).
         epochs: (S,) epochs trained.
         env_samples: (S,) environment steps trained on.
         expert_samples: (S,) expert transitions trained on.
@@ -71,7 +71,7 @@ class Record:
 
         Args:
             aer: (S,) mean returns.
-            evaluated: (S,) seeds that it is for; they were still training in this epoch.
+            evaluated: (S,) mask of the evaluated seeds, all of which trained in this epoch.
             metrics: diagnostics of the epoch by name, each (S,).
             may_be_best: whether these policies may be selected as their seeds' best.
         """
@@ -96,7 +96,7 @@ class Record:
         self.best[torch.from_numpy(better)] = self.last[torch.from_numpy(better)]
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the whole record as tensors and plain values."""
+        """Return the record as tensors and plain values."""
         return {
             "curve": [asdict(point) for point in self.curve],
             "best": self.best,

@@ -1,4 +1,4 @@
-"""Train a method: evaluate its policies on the way, keep checkpoints, score them at the end."""
+"""Train a method, evaluate its policies, save checkpoints, and score the best and last policies."""
 
 from __future__ import annotations
 
@@ -23,27 +23,39 @@ from ril.run.record import Record
 from ril.vectorized.evaluation import Evaluation
 from ril.vectorized.networks import Architecture
 
-CHECKPOINT_SECONDS = 5.0  # between two checkpoints at least
-_STRETCH = 4  # seconds between two per second that one takes, in units of CHECKPOINT_SECONDS
+CHECKPOINT_SECONDS = 5.0  # minimum time between two checkpoints
+# After a checkpoint that took t seconds to write, at least 4 · 5 · t seconds of training follow.
+_STRETCH = 4
 
 
 class Display(Protocol):
-    """What shows a run to a person; see `ril.cli.display`."""
+    """The interface through which a run reports to the user; see `ril.cli.display`."""
 
     def started(self, config: Config, folder: Path, epochs: int) -> None:
-        """Training for that many epochs starts or resumes."""
+        """Report that training starts or resumes.
+
+        Args:
+            config: configuration of the run.
+            folder: the run's folder.
+            epochs: number of epochs of the whole training; 0 for a reference.
+        """
 
     def advanced(self, progress: Progress, record: Record) -> None:
-        """An epoch has ended."""
+        """Report that an epoch has ended."""
 
     def scoring(self) -> None:
-        """Training has ended; the best and last policies are being scored."""
+        """Report that training has ended and the best and last policies are being scored."""
 
     def noted(self, line: str) -> None:
-        """Something happened that the user should know and that does not end the run."""
+        """Report an event that does not end the run, in one line."""
 
     def finished(self, rows: Path, *, skipped: bool) -> None:
-        """The rows are written; skipped says that an earlier run had written them."""
+        """Report that the rows are written.
+
+        Args:
+            rows: the file of rows.
+            skipped: whether an earlier run had already written them.
+        """
 
 
 @dataclass(frozen=True)
@@ -52,9 +64,9 @@ class Run:
 
     Attributes:
         cell: configuration, environment, demonstrations.
-        method: new; its state is loaded if the run was stopped before.
-        claim: on the run's folder.
-        stop: whether the user wants it to stop.
+        method: the untrained method; if a checkpoint exists, training loads its state.
+        claim: the lock on the run's folder.
+        stop: tells whether the user has asked the run to stop.
     """
 
     cell: Cell
@@ -65,14 +77,14 @@ class Run:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run found.
+    """The result of a run.
 
     Attributes:
-        record: of the training.
-        best: (S, episodes) returns of new episodes of each seed's best policy.
-        last: (S, episodes) returns of the last policy in the same episodes.
-        seconds: that it took, of all its starts together.
-        architecture: of the policies; None for a reference.
+        record: the record of the training.
+        best: (S, episodes) returns of each seed's best policy in fresh episodes.
+        last: (S, episodes) returns of each seed's last policy in the same episodes.
+        seconds: wall time of training and scoring, summed over all starts of the run.
+        architecture: architecture of the policies; None for a reference.
     """
 
     record: Record
@@ -83,7 +95,7 @@ class Outcome:
 
 
 def measure_reference(cell: Cell) -> Outcome:
-    """Measure what `performance` counts from (random) or to (expert); nothing is trained."""
+    """Measure a reference: random actions (`performance` 0) or the expert (`performance` 1)."""
     assert cell.spec.measure is not None
     started = time.monotonic()
     seeds, episodes = cell.config.seeds, cell.config.evaluation.episodes
@@ -93,11 +105,11 @@ def measure_reference(cell: Cell) -> Outcome:
 
 
 def train_and_score(run: Run, display: Display) -> Outcome:
-    """Train to the end, from the checkpoint if there is one; score the best and last policies.
+    """Train to the end, resuming from a checkpoint if one exists; score the best and last policies.
 
     Raises:
         UserError: the checkpoint cannot be read, or the folder was removed.
-        Stopped: the user stopped it; the message says after which epoch.
+        Stopped: the user stopped the run; the message says after which epoch.
     """
     started = time.monotonic()
     config = run.cell.config
@@ -118,7 +130,7 @@ def train_and_score(run: Run, display: Display) -> Outcome:
 
 
 def _train(run: Run, record: Record, evaluation: Evaluation, display: Display) -> float:
-    """Train and fill the record; return the seconds of earlier starts."""
+    """Train and fill the record; return the seconds that earlier starts took."""
     method, settings, stop = run.method, run.cell.config.evaluation, run.stop
     interval = settings.interval(method.epochs)
     checkpoints = _Checkpoints(run, record, display)
@@ -156,8 +168,8 @@ class _Checkpoints:
     """A run's checkpoints: read once, then written every few seconds.
 
     Attributes:
-        seconds_before: that earlier starts had taken by their last checkpoints.
-        fault: why the last one could not be written; "" if it could.
+        seconds_before: seconds that earlier starts took up to their last checkpoints.
+        fault: why the latest checkpoint could not be written; "" if it was written.
     """
 
     def __init__(self, run: Run, record: Record, display: Display) -> None:
@@ -169,7 +181,7 @@ class _Checkpoints:
         self.fault = ""
 
     def load(self) -> None:
-        """Restore the state of a stopped run, if there is a checkpoint."""
+        """Restore the state of a stopped run, if a checkpoint exists."""
         if not self._path.exists():
             return
         state = load_checkpoint(self._path, self._origin)
@@ -181,18 +193,18 @@ class _Checkpoints:
             raise unreadable(self._path, error) from None
 
     def due(self) -> bool:
-        """Return whether it is time for another one."""
+        """Return whether it is time for another checkpoint."""
         since = time.monotonic() - self._saved
         return since > CHECKPOINT_SECONDS * max(1.0, _STRETCH * self._cost)
 
     def save(self) -> None:
-        """Write one; if that fails, say so and keep the one before.
+        """Write a checkpoint; if that fails, tell the user and keep the previous one.
 
         Raises:
             UserError: the folder was removed.
         """
         if not self._run.cell.config.resume:
-            return  # resume=false never resumes
+            return  # a run with resume=false cannot be resumed
         self._run.claim.check()
         begun = time.monotonic()
         state = {

@@ -1,4 +1,4 @@
-"""Write what a run leaves: configuration and provenance first, policies, curve, and rows last."""
+"""Write a run's files: configuration and provenance at its start, results at its end."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def write_start(folder: Path, cell: Cell) -> str:
     """Write `config.yaml` and `provenance.json`; return the commit of the run's first start.
 
     Args:
-        folder: of the run.
-        cell: that is run.
+        folder: the run's folder.
+        cell: the cell that is run.
 
     Raises:
-        UserError: the provenance of the start that is resumed cannot be read.
+        UserError: the run is resumed, and the provenance of its first start cannot be read.
     """
     now = provenance(cell.demonstrations_path, cell.demonstrations.sha256)
     details = _with_first_start(folder, {"run_id": cell.run_id, **now})
@@ -43,11 +43,11 @@ def write_results(folder: Path, cell: Cell, outcome: Outcome, variant: str, comm
     """Write policies, curve and rows, and remove the checkpoint.
 
     Args:
-        folder: of the run.
-        cell: that was run.
-        outcome: of its training.
-        variant: its keys with non-default values.
-        commit: of the code.
+        folder: the run's folder.
+        cell: the cell that was run.
+        outcome: the result of its training.
+        variant: the keys with non-default values.
+        commit: the commit of the code.
     """
     record = outcome.record
     if outcome.architecture is not None:
@@ -60,13 +60,13 @@ def write_results(folder: Path, cell: Cell, outcome: Outcome, variant: str, comm
             last=record.last,
         )
         write_csv(folder / "curve.csv", record.curve)
-    # A run with rows is a finished run, so they come last.
+    # A run that has rows counts as finished, so they are written last.
     write_csv(folder / "results.csv", _rows(cell, outcome, variant, commit))
     (folder / "checkpoint.pt").unlink(missing_ok=True)
 
 
 def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
-    """A row per seed."""
+    """Return a row per seed."""
     config, record = cell.config, outcome.record
     random = float(random_returns(cell.environment, [0], config.evaluation.episodes).mean())
     expert = float(cell.demonstrations.returns.mean())
@@ -102,7 +102,7 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
 
 
 def _with_first_start(folder: Path, details: dict[str, Any]) -> dict[str, Any]:
-    """Write the provenance; of a resumed run, that of its first start and a list of resumptions."""
+    """Write and return the provenance; a resumed run keeps its first start's and adds its own."""
     path = folder / "provenance.json"
     if (folder / "checkpoint.pt").exists():
         try:

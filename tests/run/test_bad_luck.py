@@ -339,7 +339,7 @@ def test_a_checkpoint_of_another_cell_is_named(cell: Cell, interrupted: Path) ->
     [other] = set(interrupted.parent.iterdir()) - {interrupted}
     shutil.copy(interrupted / "checkpoint.pt", other)
     said = refusal(cell("ablation.k=3"))
-    assert f"is of another run or other code (run_id {interrupted.name}; now run_id" in said
+    assert f"belongs to another run or other code (run_id {interrupted.name}; now run_id" in said
 
 
 def test_a_checkpoint_of_other_code_is_named(

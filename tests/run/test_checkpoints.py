@@ -69,7 +69,7 @@ def test_another_file_is_refused(path: Path, content: bytes) -> None:
 def test_one_of_another_version_is_refused(path: Path) -> None:
     head, _, rest = path.read_bytes().partition(b"\n")
     path.write_bytes(head.rstrip(b"0123456789") + b"99\n" + rest)
-    assert "of another version of ril" in refusal(path)
+    assert "written by another version of ril" in refusal(path)
 
 
 @pytest.mark.parametrize("key", ORIGIN)
