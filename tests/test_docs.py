@@ -77,7 +77,7 @@ def settings(name: str) -> list[tuple[str, str, str]]:
 
 
 def as_text(value: object) -> str:
-    """A value as the pages write it, but for the form of numbers."""
+    """A value as the pages write it, without regard to the form of numbers."""
     if isinstance(value, list):
         return ", ".join(map(str, value))
     return str(value).lower() if isinstance(value, bool) else str(value)

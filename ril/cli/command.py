@@ -134,7 +134,7 @@ def in_one_line(error: Exception) -> str:
             return f"--config-name {choice}: no such file"
         allowed = ", ".join(error.options or ())
         extra = _LAUNCHERS.get(choice.partition("_")[0]) if group == "hydra/launcher" else None
-        more = f"; it comes with pip install -e '.[{extra}]'" if extra else ""
+        more = f"; install it with pip install -e '.[{extra}]'" if extra else ""
         return f"{group}={choice}: unknown, choose one of {allowed}{more}"
     if isinstance(error, OverrideParseException):
         return f"{error.override}: cannot be read as key=value"

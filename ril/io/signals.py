@@ -44,13 +44,13 @@ class StopRequest:
         self.immediate = False
 
     def on_signal(self, number: int, _: object) -> None:
-        """Record a first signal; a second one, or any one if `immediate`, stops the run.
+        """Record the first signal; raise at the second one, or at once if `immediate`.
 
         Args:
-            number: of the signal.
+            number: the signal's number.
 
         Raises:
-            Stopped: the run is to stop now.
+            Stopped: the run must stop now.
         """
         if self.immediate or self.number is not None:
             raise Stopped("stopped immediately", number)

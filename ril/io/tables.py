@@ -100,7 +100,7 @@ def read_tables(
 def _content(
     file: Path, columns: Sequence[str], faults: Faults, *, more_columns: bool
 ) -> tuple[list[str], str]:
-    """Read a file's header and the complete lines below it, "" if none can be used."""
+    """Read a file's header and the complete lines below it; no lines if the file cannot be used."""
     why, text, body = "", "", ""
     header: list[str] = []
     try:

@@ -13,7 +13,7 @@ from ril.vectorized.latent_networks import Predictions
 
 @dataclass
 class LatentPolicyConfig:
-    """ILPO's first step: a policy over latent actions, and the effect of each of them."""
+    """Settings of ILPO's first step: a policy over latent actions, and the effects of these."""
 
     encoder: list[int] = MISSING
     generator: int = MISSING

@@ -247,13 +247,13 @@ def cloning(config: ImitationConfig, task: Task, policy: Network) -> Cloning:
 
 
 def empty_memory(trajectories: float, task: Task) -> Replay:
-    """Make a replay memory for so many expert trajectories of mean length (§3.4)."""
+    """Make a replay memory for `trajectories` expert trajectories of mean length (§3.4)."""
     size = task.environment.observation_size
     return Replay(len(task.seeds), steps_of(trajectories, task), size, task.device)
 
 
 def steps_of(trajectories: float, task: Task) -> int:
-    """Return the number of transitions in so many expert trajectories of mean length."""
+    """Return the number of transitions in `trajectories` expert trajectories of mean length."""
     return max(1, round(trajectories * task.expert.mean_length))
 
 

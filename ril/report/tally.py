@@ -43,12 +43,12 @@ class Tally:
 
     @property
     def measured(self) -> int:
-        """Results that are run."""
+        """The number of results for which we have rows."""
         return self.total - self.of("not run")
 
     @property
     def full(self) -> int:
-        """Results that are run with the paper's seeds and budget."""
+        """The number of results for which we have rows with the paper's seeds and budget."""
         return sum(self.counts[verdict, True] for verdict in VERDICTS if verdict != "not run")
 
     def query(self, **more: str) -> str:

@@ -48,7 +48,7 @@ NOT_NEGATIVE = Bounds(0, math.inf)
 ANY = Bounds(-math.inf, math.inf)
 #: The share of a running mean that stays: at 1 it would never change.
 DECAY = Bounds(0, 1, with_high=False)
-#: By the last part of the key. What is not here is a rate, a size or a count, and so above 0.
+#: Bounds by the last part of the key. All other keys are rates, sizes and counts, hence above 0.
 BOUNDS = {
     **dict.fromkeys(("discount", "gamma", "gae_lambda"), PROBABILITY),
     **dict.fromkeys(("epsilon", "initial_epsilon", "final_epsilon"), PROBABILITY),
@@ -73,7 +73,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "changes": ("raw", "scaled", "standardized"),
     "compile": ("auto", True, False),
 }
-#: Whose values have checks of their own.
+#: Keys whose values are checked elsewhere.
 ELSEWHERE = {"seeds", "evaluation.every", "logging", "env.kwargs"}
 
 
@@ -98,7 +98,7 @@ def inside(bounds: Bounds, *, whole: bool) -> st.SearchStrategy[float]:
     if whole:
         numbers = st.integers(math.ceil(low), math.floor(high))
     else:
-        # Subnormal numbers, or those next to an open end, are no use to anyone.
+        # Leave out subnormal numbers and numbers next to an open end, which nobody uses.
         step = 1e-4 * (min(high, 1) - max(low, 0))
         numbers = st.floats(
             low if bounds.with_low else low + step, high if bounds.with_high else high - step
@@ -108,7 +108,7 @@ def inside(bounds: Bounds, *, whole: bool) -> st.SearchStrategy[float]:
 
 
 def outside(bounds: Bounds, *, whole: bool) -> st.SearchStrategy[float]:
-    """Numbers that the bounds do not allow, infinite ones and NaN among them."""
+    """Numbers that the bounds do not allow, including infinities and NaN."""
     edges = [each for each in (bounds.low, bounds.high) if math.isfinite(each)]
     refused = [st.just(each) for each in edges if not bounds.allows(each)]
     if math.isfinite(bounds.low):
@@ -191,7 +191,7 @@ def test_every_declared_choice_is_stated_here() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_what_a_command_line_gives_is_checked(method: str) -> None:
-    """The bounds are those of `check`; this is that they reach the command, with the full key."""
+    """Test that the command applies the bounds of `check` and names the full key."""
     for key in numbers_of(from_hydra(composed(f"method={method}"))):
         if key.startswith("method.") and not key.endswith(("hidden", "encoder")):
             said = refusal(lambda key=key: checked(method, key, -1))

@@ -21,7 +21,7 @@ REFERENCE = Path(__file__).parents[2] / "outputs" / "reference"
 needs_rows = pytest.mark.skipif(
     not REFERENCE.exists(), reason="outputs/reference comes with a clone only"
 )
-#: What no number depends on: where and how a run works. Demonstrations count by their content.
+#: Keys that change no number; demonstrations are hashed by content, not by path.
 NEVER = {"output_dir", "resume", "demonstrations", "processes", "logging", "env.vectorized"}
 EQUATION_2 = ("ril", "ril_consistent", "ril_sequential")
 SEE_NO_EXPERT = ("acktr", "dqn", "dqn_prioritized", "expert", "ppo", "random")

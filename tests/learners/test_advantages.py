@@ -48,7 +48,7 @@ def test_advantages_are_discounted_sums_of_errors(gae_lambda: float) -> None:
 
 def test_with_lambda_1_they_are_n_step_returns_less_the_value() -> None:
     part = rollout()
-    # A state's value is one, whether it was reached or left: but for an episode's end.
+    # A state has the same value as next state and as state, except at an episode's end.
     over = part["terminated"] | part["truncated"]
     part["next_values"][:-1] = np.where(over[:-1], part["next_values"][:-1], part["values"][1:])
     found = generalized_advantages(**part, gamma=GAMMA, gae_lambda=1.0) + part["values"]
@@ -66,7 +66,7 @@ def test_with_lambda_1_they_are_n_step_returns_less_the_value() -> None:
 
 
 @pytest.mark.parametrize(("ending", "worth"), [("terminated", 1.0), ("truncated", 1 + GAMMA * 5)])
-def test_only_a_cut_episode_is_worth_what_would_follow(ending: str, worth: float) -> None:
+def test_only_a_truncated_episode_is_worth_what_would_follow(ending: str, worth: float) -> None:
     no = np.zeros((1, 1), dtype=bool)
     ended = {"terminated": no, "truncated": no, ending: ~no}
     one = np.ones((1, 1), dtype=np.float32)

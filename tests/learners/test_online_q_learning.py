@@ -188,7 +188,7 @@ def test_the_memory_is_that_of_a_plain_agent_per_seed(both: Any) -> None:
             np.testing.assert_array_equal(field[index].numpy(), np.array(values, np.float32))
 
 
-def test_the_loss_is_the_mean_over_the_steps_that_learnt(both: Any) -> None:
+def test_the_loss_is_the_mean_over_the_steps_with_updates(both: Any) -> None:
     _, plain, metrics, _ = both
     expected = [np.mean(list(agent.losses.values())) for agent in plain]
     np.testing.assert_allclose(metrics["td_loss"], expected, rtol=1e-3)
@@ -219,7 +219,7 @@ def test_a_truncated_episode_is_not_terminal_in_memory(make: Make) -> None:
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, float]]:
-    """How many updates were asked for, and with which β, each time."""
+    """The number of updates and the β of each call."""
     asked: list[tuple[int, float]] = []
 
     def train(self: QLearning, updates: int, beta: float = 1.0) -> torch.Tensor:
@@ -290,7 +290,7 @@ def test_there_are_no_priorities_without_alpha(make: Make) -> None:
     assert make().learner.priorities is None
 
 
-def test_where_nothing_was_learnt_the_loss_is_nan(make: Make) -> None:
+def test_without_updates_the_loss_is_nan(make: Make) -> None:
     online = make("method.q_learning.learning_starts=100")
     assert np.isnan(online.advance(100, falling(100))["td_loss"]).all()
     assert np.isfinite(online.advance(104, falling(4))["td_loss"]).all()

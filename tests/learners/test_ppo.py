@@ -103,10 +103,10 @@ class Rollouts(BaseCallback):
         self.seen.append({name: getattr(buffer, name).copy() for name in self.FIELDS})
 
 
-def learnt_by_sb3(
+def trained_by_sb3(
     settings: PPOConfig, environment: Environment, count: int, *, zoo: bool
 ) -> tuple[PPO, list[dict[str, np.ndarray]]]:
-    """Stable-Baselines3's own `learn` over some rollouts, and what they held.
+    """Train by Stable-Baselines3's own `learn`; return the model and its rollouts.
 
     `zoo` adds what RL Baselines3 Zoo does for `normalize: true` and `lin_…`.
     """
@@ -146,7 +146,7 @@ def test_with_the_environments_rewards_it_is_what_sb3_learns(
     environments: dict[str, Environment], name: str, n_steps: int, zoo: bool
 ) -> None:
     settings = config(n_steps=n_steps, batch_size=20)
-    model, expected = learnt_by_sb3(settings, environments[name], 3, zoo=zoo)
+    model, expected = trained_by_sb3(settings, environments[name], 3, zoo=zoo)
     schedule_steps = 3 * n_steps * 2 if zoo else None
     agent = PPOAgent(
         settings, environments[name], SEED, normalize=zoo, schedule_steps=schedule_steps
@@ -175,7 +175,7 @@ def test_a_rate_that_has_fallen_to_0_stays_there(cartpole: Environment) -> None:
     assert not torch.equal(parameters(PPOAgent(config(), cartpole, SEED).model), trained)
 
 
-def test_only_a_cut_episode_is_worth_more_than_its_rewards(mountaincar: Environment) -> None:
+def test_only_a_truncated_episode_is_worth_more_than_its_rewards(mountaincar: Environment) -> None:
     agent = PPOAgent(config(n_steps=220, batch_size=20), mountaincar, SEED)
     agent.collect()
     agent.improve(np.zeros(440, dtype=np.float32))

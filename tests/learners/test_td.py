@@ -193,5 +193,5 @@ def test_transitions_over_n_steps_leave_the_episodes_as_they_were() -> None:
         np.testing.assert_array_equal(getattr(episodes, name), values, err_msg=name)
 
 
-def test_an_episode_that_is_cut_before_n_steps_leaves_no_transition() -> None:
+def test_an_episode_truncated_before_n_steps_leaves_no_transition() -> None:
     assert n_step(random_episodes([(3, False), (4, False)]), 4, 0.9).lengths.tolist() == [0, 1]

@@ -44,9 +44,7 @@ def test_the_line_is_as_steep_whatever_the_budget(make: Make) -> None:
 
 
 @pytest.mark.parametrize(("budget", "epochs"), [(1, 1), (60, 60), (1000, 1000), (1001, 1000)])
-def test_a_budget_is_cut_into_a_thousand_epochs_at_most(
-    make: Make, budget: int, epochs: int
-) -> None:
+def test_a_budget_has_a_thousand_epochs_at_most(make: Make, budget: int, epochs: int) -> None:
     assert make(f"method.total_timesteps={budget}").epochs == epochs
 
 

@@ -59,7 +59,7 @@ def trained(method: Method) -> list[Progress]:
 
 
 def assert_same_progress(found: list[Progress], expected: list[Progress], seed: Any = ...) -> None:
-    """Bit for bit; of one seed among several, if it is named, and the only one."""
+    """Compare bit by bit; if `seed` is given, compare that seed of `found` with the only expected one."""
     for one, other in zip(found, expected, strict=True):
         assert (one.epoch, one.pre_samples, one.can_act) == (
             other.epoch,
@@ -399,7 +399,7 @@ def tells(array: np.ndarray, actions: np.ndarray) -> bool:
 def holds_actions(make: Make, scrambled: tuple[Path, Path], cartpole: Environment) -> Any:
     """Whether a method, before or after training, has the actions that it was not to see."""
     file = scrambled[1]
-    # Random actions: no policy and no label is alike by having learned something.
+    # The actions are random, so that no trained policy or label equals them by learning.
     actions = load_demonstrations(file, cartpole).first(1).actions
     assert len(actions) > 25
 
@@ -489,7 +489,7 @@ def test_another_expert_changes_nothing(make: Make, name: str, tmp_path: Path) -
 
 
 class Hidden:
-    """Holds an array in one of the ways that a method might."""
+    """An object that holds an array in one of the ways in which a method might hold it."""
 
     def __init__(self, array: np.ndarray, way: str) -> None:
         self.kept: Any = {

@@ -382,7 +382,7 @@ def test_the_policy_that_is_saved_has_the_papers_topology(
     of_one = sum(rows * columns for rows, columns in architecture.shapes().values())
     for which in ("best", "last"):
         assert content[which].shape == (2, of_one)
-        # and nothing of the values, though the policy lies in one memory with them
+        # The file lacks the values' parameters, although they share one tensor with the policy's.
         assert content[which].untyped_storage().nbytes() == 2 * of_one * 4
 
 

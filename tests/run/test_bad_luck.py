@@ -168,7 +168,7 @@ def test_a_run_stopped_on_a_full_disk_says_so_and_resumes_from_the_checkpoint_be
     assert display.epochs == [3, 4, 5]
 
 
-#: Each file of the end, and after what the disk is full.
+#: Each file that is written at the end, and the call after which the disk is full.
 AT_THE_END = {
     "policy.pt": (Evaluation, "returns"),
     "curve.csv": (write, "save_policies"),

@@ -49,7 +49,7 @@ def table(folder: Path, name: str) -> pd.DataFrame:
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
-    """What `results.csv` says, but for the run's name, time and code."""
+    """The rows of `results.csv` without the run's name, time and code."""
     aside = ["run_id", "wall_seconds", "commit"]
     return table(folder, "results.csv").drop(columns=aside).to_dict("records")
 

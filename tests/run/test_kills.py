@@ -79,7 +79,7 @@ def run_and_die(config: Config, number: int) -> None:
 
 
 def left_by(folder: Path) -> tuple[str, str, list[str]]:
-    """Rows but for their time, the curve, and which files there are."""
+    """The rows without their time, the curve, and the names of all files."""
     rows = pd.read_csv(folder / "results.csv", dtype=str).drop(columns="wall_seconds")
     curve = (folder / "curve.csv").read_text() if (folder / "curve.csv").exists() else ""
     return rows.to_csv(), curve, sorted(path.name for path in folder.iterdir())
@@ -87,7 +87,7 @@ def left_by(folder: Path) -> tuple[str, str, list[str]]:
 
 @pytest.fixture(scope="module")
 def cell(quick: Any, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Config]:
-    """A cell of a second, in an output folder of its own."""
+    """The configuration of a cell that takes a second, in its own output folder."""
 
     def made(*overrides: str) -> Config:
         config: Config = quick(*overrides)
@@ -102,7 +102,7 @@ def only_run(config: Config) -> Path:
     return path.parent
 
 
-#: One that is trained step by step, and one by episodes and from the expert.
+#: A method that is trained after each step, and one that is trained by episodes and the expert.
 METHODS = {
     "dqn": ("method.total_timesteps=30", "evaluation.every=10%"),
     "ril": ("method.epochs=8",),

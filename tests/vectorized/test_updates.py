@@ -58,7 +58,7 @@ def test_a_seed_without_a_gradient_stays() -> None:
 
 
 def parameters_after(factors: list[float]) -> Tensor:
-    """What steps on each seed's loss times a factor lead to."""
+    """The parameters after steps on each seed's loss times a factor."""
     network = random_network(ARCHITECTURE, S)
     optimizer = ClippedAdam(network, 0.01, 1.0)
     for step in range(STEPS):
