@@ -16,11 +16,11 @@ class Task:
     """An environment, an expert in it, and the seeds to train.
 
     Attributes:
-        environment: to train in.
+        environment: the environment to train in.
         expert: the expert's transitions T^e; with actions only for methods that see them.
         seeds: the S seeds, trained together.
         ablation: k and n of eq. 2.
-        device: of all tensors.
+        device: device of all tensors.
         compile: whether updates are compiled: True, False, or "auto" for long trainings only.
         processes: number of processes for methods whose seeds do not train as one batch.
     """

@@ -77,8 +77,8 @@ def train(
     PPO also seeds the global generators of numpy and torch, from which imitation draws its batches.
 
     Args:
-        environment: to train in.
-        trajectories: of the expert.
+        environment: the environment to train in.
+        trajectories: the expert's trajectories.
         total_timesteps: budget, a multiple of four rollouts.
         seed: of PPO, its networks and environments.
 

@@ -35,8 +35,8 @@ def stable_baselines_dqn(config: DQNConfig, environment: Environment, seed: int)
 
     Args:
         config: values of every key.
-        environment: to train in.
-        seed: of the agent and its environment.
+        environment: the environment to train in.
+        seed: seed of the agent and its environment.
     """
     learning, exploration = config.q_learning, config.exploration
     return DQN(

@@ -66,7 +66,7 @@ def load_demonstrations(path: Path, environment: Environment) -> Demonstrations:
     Nothing in it is ever unpickled.
 
     Args:
-        path: of the npz file, or of the dataset's folder.
+        path: the npz file, or the dataset's folder.
         environment: whose observation and action spaces the arrays must fit.
 
     Raises:

@@ -20,7 +20,7 @@ class Episode:
     """One episode of T steps.
 
     Attributes:
-        seed: of the environment's reset.
+        seed: seed of the environment's reset.
         observations: (T + 1, obs) raw states.
         actions: (T,) actions.
         rewards: (T,) rewards.
@@ -48,7 +48,7 @@ def play(environment: Environment, policy: Policy, seeds: Sequence[int]) -> list
     """Play one episode per reset seed, all of them at the same time.
 
     Args:
-        environment: of which each episode has a copy.
+        environment: the environment, of which each episode has a copy.
         policy: raw observations (N, obs) of the N running episodes to actions (N,).
         seeds: reset seeds.
 
@@ -98,7 +98,7 @@ def put_first(
     is chosen; ties go to the highest return, then to the earliest.
 
     Args:
-        episodes: in the order in which they were collected.
+        episodes: the episodes in the order in which they were collected.
         first_length: steps; None leaves the order as it is.
         target_return: mean return that the expert was trained to.
         margin: tolerance of that return.

@@ -60,7 +60,7 @@ def train(
 
     Args:
         config: of `ril-expert`.
-        environment: to train in.
+        environment: the environment to train in.
         on_step: called after every step of the environments.
 
     Returns:

@@ -22,7 +22,7 @@ def write_atomically(path: Path, *parts: Bytes) -> None:
     """Write a file such that readers see its old or its new content, and never a part of it.
 
     Args:
-        path: of the file, in an existing folder.
+        path: the file to write, in an existing folder.
         *parts: the content, one part after another.
 
     Raises:
@@ -65,7 +65,7 @@ def tensor_bytes(content: dict[str, Any]) -> memoryview:
     """Serialize tensors and plain values.
 
     Args:
-        content: to serialize.
+        content: tensors and plain values to serialize.
 
     Returns:
         What `torch.load(…, weights_only=True)` reads.

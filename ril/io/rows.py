@@ -18,11 +18,11 @@ class Row:
     """One seed of one run: a line of `results.csv`.
 
     Attributes:
-        run_id: of the run, a hash of what can change its numbers.
+        run_id: the run's identifier, a hash of what can change its numbers.
         env: name of the environment.
         method: name of the method.
         variant: overridden keys and their values, key=value; "" for the method's defaults.
-        seed: of the agent.
+        seed: the agent's seed.
         k: eq. 2's slope; empty for methods without that equation.
         n: eq. 2's epochs; empty for methods without that equation.
         trajectories: expert trajectories trained on; empty for methods that see none.
@@ -41,7 +41,7 @@ class Row:
         random_return: measured mean return of random actions.
         expert_return_measured: mean return of all the expert's demonstrations.
         wall_seconds: duration of the whole run, all its seeds together.
-        commit: of the code, with "-dirty" if there were uncommitted changes; "" outside a checkout.
+        commit: the code's commit, with "-dirty" for uncommitted changes; "" outside a checkout.
     """
 
     run_id: str
@@ -75,7 +75,7 @@ class CurvePoint:
     """One seed at one evaluation during training: a line of `curve.csv`.
 
     Attributes:
-        seed: of the agent.
+        seed: the agent's seed.
         epoch: the epoch after which it was evaluated.
         samples: env_samples + expert_samples so far (§5.2.2).
         aer: mean return of the selection episodes.
@@ -95,8 +95,8 @@ def write_csv(path: Path, lines: Sequence[Row] | Sequence[CurvePoint]) -> None:
     """Write rows or curve points below a header of their field names.
 
     Args:
-        path: of the file.
-        lines: to write, in order. A metric that a point does not have is empty in its line.
+        path: the file to write.
+        lines: the lines to write, in order; a metric that a point lacks is empty in its line.
 
     Raises:
         WriteError: the file cannot be written.

@@ -18,11 +18,11 @@ class Stopped(KeyboardInterrupt):
 
     Args:
         message: where the run stopped and how to resume it, in one line.
-        number: of the signal.
+        number: the signal's number.
 
     Attributes:
-        number: of the signal.
-        exit_status: of the command, by the shells' convention: 128 + the signal's number.
+        number: the signal's number.
+        exit_status: exit status of the command: 128 + the signal's number, as shells count.
     """
 
     def __init__(self, message: str, number: int) -> None:
@@ -35,7 +35,7 @@ class StopRequest:
     """Whether a signal has asked the run to stop.
 
     Attributes:
-        number: of the first signal; None before it.
+        number: number of the first signal; None before it.
         immediate: whether a signal raises `Stopped` at once; set it while there is no work to lose.
     """
 

@@ -52,8 +52,8 @@ def read_tables(
     """Read the valid lines of some CSV files.
 
     Args:
-        files: to read, in order; those with the same header are parsed together.
-        kinds: of each wanted column, "int" (a count), "float" or "str", with " | None" if it may
+        files: the files to read, in order; files with the same header are parsed together.
+        kinds: kind by wanted column, "int" (a count), "float" or "str", with " | None" if it may
             be empty.
         faults: records each file or line that is left out.
         more_columns: whether a file may have other columns.
@@ -152,9 +152,9 @@ def _parsed(
 
     Args:
         header: their columns.
-        bodies: of each file, its number in `names` and the lines below its header.
-        columns: that are wanted.
-        names: of all files.
+        bodies: for each file, its number in `names` and the lines below its header.
+        columns: the wanted columns.
+        names: the names of all files.
         faults: records each file or line that is left out.
 
     Returns:

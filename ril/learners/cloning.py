@@ -36,7 +36,7 @@ class Cloning(Stateful):
     Args:
         policy: π_φ, from obs features to |A| logits.
         config: `method.cloning`.
-        streams: of the random numbers that draw minibatches.
+        streams: random streams that draw the minibatches.
         compile_step: whether each step is one compiled graph, which differs in the last bits.
     """
 

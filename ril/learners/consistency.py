@@ -118,7 +118,7 @@ class ConsistentLearning(Stateful):
             states: (M, obs) states of the expert, the same for all seeds.
             labels: (S, M) actions in these states; None trains on the transitions alone.
             weights: (S, M) weights of the labels' cross-entropy; None without labels.
-            learning_rate: of these steps.
+            learning_rate: learning rate of these steps.
 
         Returns:
             Two means over the steps, (S,) each: the temporal-difference loss, and the unweighted
@@ -165,7 +165,7 @@ class ConsistentLearning(Stateful):
         """Compute the loss and its two parts.
 
         Args:
-            parameters: of value function and policy, by name.
+            parameters: parameters of value function and policy, by name.
             average: (S, P) parameters from which the targets are computed.
             memory: (S, N, …) all stored transitions.
             slots: (S, B) the transitions to train on.

@@ -76,7 +76,7 @@ class Discriminator(Stateful):
     Args:
         network: from obs + |A| features to one logit.
         config: `method.discriminator`.
-        streams: of the random numbers that draw minibatches.
+        streams: random streams that draw the minibatches.
     """
 
     STATE: ClassVar = ("network", "_optimizer", "_streams")

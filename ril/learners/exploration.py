@@ -64,7 +64,7 @@ def exploration_ratio(logits: Tensor, uniform: NDArray[np.float32]) -> NDArray[n
     """Measure how often an action sampled from the policy differs from its greedy one (§3.4).
 
     Args:
-        logits: (S, M, |A|) in the expert's states.
+        logits: (S, M, |A|) of the policy in the expert's states.
         uniform: (S, M) random numbers in [0, 1).
 
     Returns:

@@ -39,7 +39,7 @@ class InverseDynamics(Stateful):
     Args:
         network: from 2·obs features to |A| logits.
         config: `method.inverse_dynamics`.
-        streams: of the random numbers that draw minibatches.
+        streams: random streams that draw the minibatches.
         compile_step: whether each step is one compiled graph, which differs in the last bits.
     """
 

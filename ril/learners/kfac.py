@@ -46,14 +46,14 @@ class FactoredLayer(Stateful):
 
     Args:
         seeds: S.
-        inputs: of the layer, without the 1.
-        outputs: of the layer.
-        device: of the factors.
+        inputs: number of the layer's inputs, without the constant 1.
+        outputs: number of the layer's outputs.
+        device: device of the factors.
 
     Attributes:
         factors: A = E[a aᵀ] (S, n, n) of inputs a, and G = E[g gᵀ] (S, m, m) of the gradients
             g with respect to outputs; running means.
-        eigenvalues: of both factors at the last `decompose`, (S, n) and (S, m).
+        eigenvalues: (S, n) and (S, m), those of both factors at the last `decompose`.
         bases: their eigenvectors, (S, n, n) and (S, m, m).
     """
 
@@ -72,7 +72,7 @@ class FactoredLayer(Stateful):
         Args:
             inputs: a, (S, B, n).
             gradients: g, (S, B, m).
-            weight: of the batch in the running means.
+            weight: weight of the batch in the running means.
         """
         for factor, batch in zip(self.factors, (inputs, gradients), strict=True):
             factor.lerp_(batch.mT @ batch / batch.shape[1], weight)

@@ -59,7 +59,7 @@ class OnlineQLearning(Stateful):
         policy: acts; its outputs are Q-values.
         kind: distribution of exploring actions, "softmax" or "uniform".
         total_steps: budget of each seed, over which prioritized replay raises β to 1.
-        purpose: of the random numbers for exploration.
+        purpose: name of the random streams for exploration.
 
     Attributes:
         steps: environment steps of each seed so far.

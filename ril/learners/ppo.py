@@ -58,7 +58,7 @@ class PPOAgent:
     Args:
         config: hyperparameters.
         environment: the task; the agent sees scaled observations.
-        seed: of networks, actions, minibatches and episodes.
+        seed: seed of networks, actions, minibatches and episodes.
         normalize: whether to normalize observations and rewards by their running moments.
         schedule_steps: environment steps over which learning rate and clip range fall linearly
             to 0; None keeps them constant.
@@ -128,7 +128,7 @@ class PPOAgent:
         """Update policy and value function on the last rollout.
 
         Args:
-            rewards: (n_steps·K,) of the pairs that `collect` returned; the environment's if None.
+            rewards: (n_steps·K,) rewards of the pairs from `collect`; None for the environment's.
         """
         model, buffer = self.model, self.model.rollout_buffer
         if rewards is not None:
@@ -251,7 +251,7 @@ class _TruncatedEpisodes(BaseCallback):
     """Records the episodes of a rollout that the step limit truncated.
 
     Attributes:
-        episodes: (step of the rollout, copy, final observation as the policy sees it) of each.
+        episodes: of each, (step of the rollout, copy, final observation as the policy sees it).
     """
 
     def __init__(self) -> None:

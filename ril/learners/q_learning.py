@@ -50,9 +50,9 @@ class QLearning(Stateful):
         policy: π_φ, from obs features to |A| values.
         replay: each seed's memory; the caller fills it.
         config: `method.q_learning`.
-        streams: of the random numbers that draw minibatches.
-        priorities: of the memory's slots; the caller adds those of new transitions. None draws
-            uniformly.
+        streams: random streams that draw the minibatches.
+        priorities: priorities of the memory's slots, to which the caller adds new transitions;
+            None for uniform sampling.
         double: whether the policy instead of the target network chooses the next action.
         compile_step: whether each step is one compiled graph, which differs in the last bits.
     """
@@ -119,7 +119,7 @@ class QLearning(Stateful):
         """Compute the weighted losses, the unweighted losses and the errors δ, (S, B) each.
 
         Args:
-            parameters: of the policy, by name.
+            parameters: parameters of the policy, by name.
             target: (S, P) parameters of the target network.
             memory: (S, N, …) all stored transitions.
             slots: (S, B) the transitions to train on.

@@ -67,7 +67,7 @@ class Normalized(VecNormalize):
     """Observations with running mean 0 and variance 1; rewards over their returns' deviation.
 
     Args:
-        environments: to normalize.
+        environments: the environments to normalize.
         gamma: γ of the returns.
     """
 

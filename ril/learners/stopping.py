@@ -29,10 +29,10 @@ class StoppingRule(Stateful):
 
     Args:
         config: `method.stopping`; a patience of None never stops.
-        seeds: S.
+        seeds: the number of seeds S.
 
     Attributes:
-        stopped: (S,) which seeds have stopped.
+        stopped: (S,) mask of the seeds that have stopped.
     """
 
     STATE: ClassVar = ("stopped", "_unchanged", "_actions", "_loss")

@@ -31,7 +31,7 @@ def performances(evidence: Evidence, score: str) -> dict[str, Scores]:
 
     Args:
         evidence: our rows.
-        score: of each run's "best" or "last" policy.
+        score: which policy of each run counts: "best" or "last".
     """
     every: dict[str, Scores] = {}
     for method in methods(evidence):

@@ -37,9 +37,9 @@ class Document:
     """The numbered deviations of one file.
 
     Attributes:
-        name: of the file, without its ending.
+        name: the file's name, without its ending.
         title: its heading.
-        entries: in the file's order.
+        entries: the entries in the file's order.
     """
 
     name: str

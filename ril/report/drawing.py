@@ -38,8 +38,8 @@ class Drawing:
     """One figure.
 
     Attributes:
-        name: of its files, and its anchor in the page.
-        title: in words, with the paper's number if it has one.
+        name: the name of its files, and its anchor in the page.
+        title: the title in words, with the paper's number if it has one.
         caption: below it.
         draw: draws it from our rows and a score ("best" or "last"); None without rows.
     """

@@ -118,8 +118,8 @@ def reductions(rows: pd.DataFrame, table: Table, method: str) -> tuple[str, ...]
     """Say where rows have fewer seeds or a smaller budget than the paper: "3 of 10 seeds".
 
     Args:
-        rows: of one setting.
-        table: of the paper, with its number of seeds and its budgets.
+        rows: the rows of one setting.
+        table: the table of the paper, with its number of seeds and its budgets.
         method: by the paper's name; one beyond the paper is compared with RIL's budget.
     """
     is_beyond = rows["method"].iloc[0] not in known_methods()

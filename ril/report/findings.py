@@ -40,7 +40,7 @@ class Finding:
     Attributes:
         cell: the paper's number and its setting.
         values: one per seed; one per environment for an average.
-        mean: of the values; None without any.
+        mean: mean of the values; None without any.
         std: standard deviation of the values, divided by their number; of an average that of a
             sample, over environments, as in the paper.
         interval: 95 % bootstrap interval of the mean over seeds; None for a single seed.
@@ -48,8 +48,8 @@ class Finding:
             rather than learned, or where a run is shorter than the paper's number of samples.
         reduced: what the paper has more of, in words: "3 of 10 seeds".
         excluded: runs of the same setting that do not count, in words.
-        command: that produces the rows.
-        run_ids: of the rows.
+        command: the command that produces the rows.
+        run_ids: the `run_id`s of the rows.
     """
 
     cell: Cell
@@ -78,9 +78,9 @@ def find(cell: Cell, evidence: Evidence, score: str = "best") -> Finding:
     """Compare one cell with the rows.
 
     Args:
-        cell: of the paper.
+        cell: the cell of the paper.
         evidence: our rows.
-        score: of each run's "best" or "last" policy.
+        score: which policy of each run counts: "best" or "last".
     """
     if cell.setting.env == "average":
         return _average(cell, evidence, score)

@@ -20,7 +20,7 @@ class Grid:
 
     Attributes:
         name: "table2".
-        title: in words.
+        title: the title in words.
         labels: number of leading columns that hold words; the others hold numbers.
         head: a text per column.
         body: lines of as many texts.
@@ -41,7 +41,7 @@ class Results:
 
     Attributes:
         table: labels and cells.
-        score: of each run's "best" or "last" policy.
+        score: which policy of each run counts: "best" or "last".
         rows: labels of each row and its findings; None where the table is blank.
     """
 
@@ -61,7 +61,7 @@ def results(name: str, evidence: Evidence, score: str = "best") -> Results:
     Args:
         name: "table1" to "table9".
         evidence: our rows; their methods beyond the paper are added next to RIL.
-        score: of each run's "best" or "last" policy.
+        score: which policy of each run counts: "best" or "last".
     """
     chosen = table(name, evidence.beyond)
     rows = (

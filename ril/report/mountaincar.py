@@ -131,7 +131,7 @@ def play(policy: DiscretePolicy, positions: NDArray[np.floating]) -> tuple[Array
     """Play greedy episodes of at most 200 steps from some positions at rest, all at once.
 
     Args:
-        policy: that acts.
+        policy: the policy that acts.
         positions: (N,) start positions.
 
     Returns:

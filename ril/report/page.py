@@ -32,7 +32,7 @@ class Drawn:
 
     Attributes:
         name: "figure4"; its anchor in the page.
-        title: in words.
+        title: the title in words.
         caption: below it.
         svg: trusted markup; "" without rows to draw.
     """
@@ -48,10 +48,10 @@ class Report:
     """The contents of a page.
 
     Attributes:
-        score: of each run's "best" or "last" policy.
-        tables: of the paper, with our findings.
-        figures: in order.
-        aggregates: of performance P, by method.
+        score: which policy of each run counts: "best" or "last".
+        tables: the paper's tables, with our findings.
+        figures: the figures in order.
+        aggregates: aggregates of performance P, by method.
         improvement: probability that RIL is better, with its interval, by the other method.
         variants: effect of overridden keys.
         contradictions: within the paper.
@@ -75,9 +75,9 @@ class Placed:
     """A finding and its place in the page.
 
     Attributes:
-        anchor: of its cell.
+        anchor: the anchor of its cell.
         place: row and column of its table, in words.
-        table: of the paper.
+        table: the table of the paper.
         found: our finding.
     """
 

@@ -18,13 +18,13 @@ class Run:
     """The provenance of one run; "" where it is unknown.
 
     Attributes:
-        run_id: of the cell.
+        run_id: the run's identifier.
         env: name of the environment.
         method: name of the method.
         variant: overridden keys.
         seeds: "0–9".
-        commit: of the code.
-        command: that started it.
+        commit: the commit of the code.
+        command: the command that started it.
         started: date and time in UTC.
         software: versions of Python and of the libraries that make the numbers.
         machine: processor and number of cores.

@@ -28,8 +28,8 @@ class Aggregate:
     """A method's performance P over environments and seeds, after Agarwal et al. (2021).
 
     Attributes:
-        mean: of the environments' means.
-        median: of the environments' means.
+        mean: mean of the environments' means.
+        median: median of the environments' means.
         iqm: interquartile mean: of the middle half of all runs of all environments.
         optimality_gap: mean of max(0, 1 − P) over all runs: the distance below the expert.
     """
@@ -56,7 +56,7 @@ def average_interval(by_env: Sequence[ArrayLike]) -> tuple[float, float] | None:
     """Compute the 95 % interval of the mean over environments (Tables 2, 4 and 5).
 
     Args:
-        by_env: (seeds,) of each environment; seeds are resampled within each.
+        by_env: (seeds,) values by environment; seeds are resampled within each.
 
     Returns:
         Its low and high end; None where an environment has fewer than two seeds.

@@ -16,7 +16,7 @@ class Tally:
 
     Attributes:
         title: what the results have in common.
-        filters: that select them in the page's list of all results.
+        filters: the filters that select them in the page's list of all results.
         counts: by verdict and whether seeds and budget are the paper's.
     """
 

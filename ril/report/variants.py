@@ -49,7 +49,7 @@ def variants(evidence: Evidence, score: str) -> list[Variant]:
 
     Args:
         evidence: our rows.
-        score: of each run's "best" or "last" policy.
+        score: which policy of each run counts: "best" or "last".
     """
     column = "aer" if score == "best" else "aer_last"
     found: dict[tuple[str, str], Variant] = {}

@@ -32,7 +32,7 @@ class Wanted:
             of the documentation.
         audit: whether to list the paper's contradictions.
         form: "md", "csv", "latex" or "html".
-        score: of each run's "best" or "last" policy.
+        score: which policy of each run counts: "best" or "last".
         outputs: folders of runs.
         to: folder for files.
     """

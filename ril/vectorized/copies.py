@@ -32,7 +32,7 @@ class EnvironmentCopies(Protocol):
         """Take actions (C,) in the copies at indices (C,).
 
         Args:
-            indices: in ascending order; the episodes of these copies must not be over.
+            indices: the copies, in ascending order; their episodes must not be over.
             actions: one for each of these copies.
         """
 

@@ -21,7 +21,7 @@ class Evaluation:
     """Average episodic reward of S policies (AER, §4).
 
     Args:
-        environment: in which they are scored.
+        environment: the environment in which they are scored.
         seeds: S; each has its own stream of episodes, apart from all that training draws.
     """
 
@@ -34,7 +34,7 @@ class Evaluation:
         """Returns of whole, greedy episodes.
 
         Args:
-            policy: of the S seeds.
+            policy: the policies of the S seeds.
             episodes: how many per seed.
             purpose: names the episodes; the same purpose gives the same starts.
 

@@ -208,8 +208,8 @@ def self_attention(x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor) -> Te
 
     Args:
         x: (S, B, n).
-        weight: (S, n, n) of the value projection.
-        bias: (S, 1, n) of the value projection.
+        weight: (S, n, n) weights of the value projection.
+        bias: (S, 1, n) bias of the value projection.
         gamma: γ, (S, 1, 1), the weight of the attention; 0 at initialization.
 
     Returns:
@@ -265,10 +265,10 @@ class Network(Stateful):
         """Make random networks, with torch's defaults for Linear and LayerNorm, and γ = 0.
 
         Args:
-            architecture: of each network.
+            architecture: the architecture of each network.
             seeds: S seeds; equal seeds and purpose give equal networks.
             purpose: names the stream of random numbers.
-            device: of the parameters.
+            device: device of the parameters.
         """
         streams = Streams(seeds, purpose)
         flat = torch.zeros(len(seeds), parameter_count(architecture))

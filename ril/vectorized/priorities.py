@@ -26,7 +26,7 @@ class Priorities(Stateful):
         seeds: S.
         capacity: N, slots per seed.
         alpha: α, how strongly the errors count; 0 draws uniformly.
-        device: of the arrays.
+        device: device of the arrays.
     """
 
     STATE: ClassVar = ("_blocks", "_sums", "_highest")

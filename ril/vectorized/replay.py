@@ -57,7 +57,7 @@ class Replay(Stateful):
         seeds: S.
         capacity: transitions kept per seed.
         observation_size: entries of one observation.
-        device: of the arrays.
+        device: device of the arrays.
 
     Attributes:
         sizes: (S,) stored transitions.
@@ -85,7 +85,7 @@ class Replay(Stateful):
 
         Args:
             episodes: S·N episodes, the N of one seed side by side.
-            keep: (S·N,) which episodes to append; all if None.
+            keep: (S·N,) mask of the episodes to append; None for all.
         """
         per_seed = len(episodes.lengths) // len(self.sizes)
         for episode, length in enumerate(episodes.lengths):

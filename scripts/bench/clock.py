@@ -53,7 +53,7 @@ def cost(command: tuple[str, ...], **environment: str) -> Cost:
     """Run a command that begins with `RUN`, and return its cost.
 
     Args:
-        command: to run.
+        command: the command to run.
         environment: variables to add.
 
     Raises:

@@ -92,7 +92,7 @@ def sbx_rate(python: Path, config: Config, steps: int) -> float:
 
     Args:
         python: interpreter that has SBX.
-        config: as of the other sides.
+        config: the configuration, as for the other sides.
         steps: after the warm-up.
     """
     assert isinstance(config.method, DQNConfig)
@@ -119,8 +119,8 @@ def dqn(rounds: int, steps: int, settings: int, sbx: Path | None) -> str:
     """Measure (b).
 
     Args:
-        rounds: of measurements.
-        steps: of each, after the warm-up.
+        rounds: number of measurements.
+        steps: steps of each measurement, after the warm-up.
         settings: number of SETTINGS to measure.
         sbx: interpreter that has SBX; None leaves it out.
 

@@ -59,7 +59,7 @@ def trained(method: Method) -> list[Progress]:
 
 
 def assert_same_progress(found: list[Progress], expected: list[Progress], seed: Any = ...) -> None:
-    """Compare bit by bit; if `seed` is given, compare that seed of `found` with the only expected one."""
+    """Compare bit by bit; `seed` picks a seed of `found`, where `expected` has a single one."""
     for one, other in zip(found, expected, strict=True):
         assert (one.epoch, one.pre_samples, one.can_act) == (
             other.epoch,

@@ -35,8 +35,8 @@ class Result:
     """A mean and the range around it.
 
     Attributes:
-        mean: of returns or of P.
-        low: of our 95 % interval, or the paper's mean minus its ±.
+        mean: mean of returns or of P.
+        low: lower end of our 95 % interval, or the paper's mean minus its ±.
         high: likewise.
         reduced: whether it is from fewer seeds or a smaller budget than the paper's.
     """

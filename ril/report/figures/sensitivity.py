@@ -39,7 +39,7 @@ def sensitivity(points: Iterable[Point], setting: str) -> Figure:
     Points that are not run, or not in the paper, are gaps in the lines.
 
     Args:
-        points: in any order; an environment without points gets no panel.
+        points: the points in any order; an environment without points gets no panel.
         setting: the label of x.
     """
     given = sorted(points, key=lambda point: point.x)

@@ -122,9 +122,9 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure on white as PDF and as PNG of 300 dots per inch.
 
     Args:
-        figure: to write.
+        figure: the figure to write.
         folder: an existing folder.
-        name: of the files, without suffix.
+        name: the files' name, without suffix.
 
     Returns:
         The files; the same figure gives the same bytes.

@@ -15,9 +15,10 @@ class Statement:
     """A claim of the text that the tables confirm or refute.
 
     Attributes:
-        section: of the claim.
+        section: the section with the claim.
         says: the claim, nearly in the paper's words.
-        evaluate: from the tables: the value of a claimed number, else the cells that contradict.
+        evaluate: computes from the tables a claimed number or, of other claims, the contradicting
+            cells.
         number: the claimed number as printed ("5e5" where only the first digit is meant).
         why: a likely cause of the error.
     """

@@ -73,7 +73,7 @@ class Cell:
     Attributes:
         table: "table1" to "table9".
         quantity: a key of `QUANTITIES`.
-        setting: of the number.
+        setting: the setting of the number.
         mean: the paper's number; None where it reports none.
         std: the paper's ±; None where it gives none.
     """
@@ -92,8 +92,8 @@ class Table:
     Attributes:
         name: "table1" to "table9".
         number: 1 to 9.
-        title: in a few words.
-        section: of the paper.
+        title: the title in a few words.
+        section: the section of the paper.
         head: heads of the one or two columns that label the rows.
         columns: heads of the columns of numbers.
         rows: labels of each row, and its cells.
