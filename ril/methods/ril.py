@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from omegaconf import MISSING
 from torch import Tensor
 
@@ -113,18 +114,36 @@ class Algorithm1(Stateful):
 
     def train_epoch(self) -> Progress:
         """Run one epoch, lines 7 to 14; before the first epoch, run lines 4 and 5."""
-        imitation, metrics, labels = self.imitation, {}, None
+        imitation, labels = self.imitation, None
+        metrics: Metrics = {}
         if self.cloner is not None:
             imitation.generate_pre()  # lines 4–5: I^pre, once
             dataset = imitation.sample_dataset(self._limit())  # line 14: I^s
-            metrics["inverse_dynamics_loss"] = _array(imitation.train(dataset))  # line 7: M_θ
+            loss = imitation.train(dataset)  # line 7: M_θ
+            metrics["inverse_dynamics_loss"] = _array(loss)
             labels = imitation.infer_actions()  # line 8: Â
-            metrics["cloning_loss"] = _array(  # line 9: π_φ
-                self.cloner.train(imitation.expert_states, labels)
-            )
+            loss = self.cloner.train(imitation.expert_states, labels)  # line 9: π_φ
+            metrics["cloning_loss"] = _array(loss)
         self.epoch += 1
-        epsilon = imitation.epsilon(metrics.get("cloning_loss"))
-        metrics["epsilon"] = epsilon
+        epsilon = metrics["epsilon"] = imitation.epsilon(metrics.get("cloning_loss"))
+        metrics |= self._solve_environments(epsilon, labels)  # lines 10–13
+        return Progress(
+            self.epoch,
+            self.env_samples,
+            np.full_like(self.env_samples, self.expert_samples),
+            0 if labels is None else imitation.pre.capacity,
+            imitation.stopping.stopped.copy(),
+            metrics,
+            None if labels is None else labels.cpu().numpy(),
+        )
+
+    def _solve_environments(self, epsilon: NDArray[np.float64], labels: Tensor | None) -> Metrics:
+        """Play an epoch's episodes, learn from each, and remember those that reach the goal.
+
+        Args:
+            epsilon: (S,) chance of a step to explore.
+            labels: (S, M) of line 8; None without imitation.
+        """
         played: list[Episodes] = []
         corrections: list[Metrics] = []
         for _ in range(self.rounds):  # line 10: E
@@ -132,26 +151,19 @@ class Algorithm1(Stateful):
             played.append(episodes)
             if self.correction is not None:
                 corrections.append(self.correction.train(self.epoch, episodes, labels))  # line 13
-        seeds = len(self.env_samples)
         returns, lengths = (
-            np.concatenate([getattr(each, name).reshape(seeds, -1) for each in played], axis=1)
+            np.concatenate(
+                [getattr(each, name).reshape(len(epsilon), -1) for each in played], axis=1
+            )
             for name in ("returns", "lengths")
         )
         self.env_samples = self.env_samples + lengths.sum(axis=1)
-        metrics["training_return"] = returns.mean(axis=1)
+        metrics = {"training_return": returns.mean(axis=1)}
         for name in corrections[0] if corrections else ():
             metrics[name] = np.mean([each[name] for each in corrections], axis=0)
         if labels is not None:
-            metrics |= imitation.remember(played)  # line 12: I^pos
-        return Progress(
-            self.epoch,
-            self.env_samples,
-            np.full(seeds, self.expert_samples),
-            0 if labels is None else imitation.pre.capacity,
-            imitation.stopping.stopped.copy(),
-            metrics,
-            None if labels is None else labels.cpu().numpy(),
-        )
+            metrics |= self.imitation.remember(played)  # line 12: I^pos
+        return metrics
 
     def _limit(self) -> float:
         """Return the largest share of I^pos in I^s by equation 2; 1 without that limit."""
