@@ -71,6 +71,8 @@ def load_environment(config: EnvironmentConfig) -> Environment:
             probe = gym.make(config.id, disable_env_checker=True, **config.kwargs)
     except Exception as error:  # an environment's constructor may raise any type
         message = one_line(error) or type(error).__name__
+        if isinstance(error, ModuleNotFoundError):  # scripts do not search the current folder
+            message += "; PYTHONPATH=. finds modules in the current folder"
         raise UserError(f"env.id={config.id}: {message}") from None
     observations, actions = probe.observation_space, probe.action_space
     spec = probe.spec

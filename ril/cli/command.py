@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 import sys
@@ -19,7 +20,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from ril import __version__
-from ril.cli.configuration import unknown_key
+from ril.cli.configuration import unknown_key, wrong_type
 from ril.io.errors import UserError, one_line
 from ril.io.paths import config_folder
 
@@ -135,7 +136,9 @@ def in_one_line(error: Exception) -> str:
         allowed = ", ".join(error.options or ())
         extra = _LAUNCHERS.get(choice.partition("_")[0]) if group == "hydra/launcher" else None
         more = f"; install it with pip install -e '.[{extra}]'" if extra else ""
-        return f"{group}={choice}: unknown, choose one of {allowed}{more}"
+        near = difflib.get_close_matches(choice, error.options or (), n=1)
+        meant = f"is it {near[0]}? Or " if near else ""
+        return f"{group}={choice}: unknown; {meant}choose one of {allowed}{more}"
     if isinstance(error, OverrideParseException):
         return f"{error.override}: cannot be read as key=value"
     fault = error.__cause__ or error
@@ -145,7 +148,7 @@ def in_one_line(error: Exception) -> str:
         known = list(getattr(fault.object_type, "__dataclass_fields__", ()))
         return unknown_key(fault.full_key, known)
     if isinstance(fault, OmegaConfBaseException) and fault.full_key:
-        return f"{fault.full_key}: {str(fault).splitlines()[0]}"
+        return wrong_type(fault, str(fault.full_key))
     groups = [each for each in sys.argv[1:] if re.fullmatch(r"\w+=(null|\[\])", each)]
     if isinstance(fault, ValueError) and groups:
         return f"{' '.join(groups)}: must be one of the group's choices"

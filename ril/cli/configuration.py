@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_type_hints
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
@@ -18,6 +18,13 @@ from ril.io.errors import UserError
 from ril.io.paths import config_folder
 
 T = TypeVar("T")
+#: How messages name the types of fields, by how Python writes the types.
+_TYPES = {
+    "list": "a list, such as '[8,8]'",
+    "bool": "true or false",
+    "int": "a whole number",
+    "float": "a number",
+}
 #: Keys of groups, to suggest to a user who has left out the group's name.
 _NESTED = (
     *(f"env.{field.name}" for field in fields(EnvironmentConfig)),
@@ -134,8 +141,7 @@ def _typed(kind: type[T], values: Mapping[str, Any], parent: str = "") -> T:
         method = f"method={values.get('name')}" if parent == "method" else ""
         raise UserError(unknown_key(_full(parent, str(error.full_key)), known, method)) from None
     except OmegaConfBaseException as error:
-        key = _full(parent, str(error.full_key))
-        raise UserError(f"{key}: {str(error).splitlines()[0]}") from None
+        raise UserError(wrong_type(error, _full(parent, str(error.full_key)))) from None
 
 
 def _full(parent: str, key: str) -> str:
@@ -154,7 +160,26 @@ def unknown_key(key: str, known: Iterable[str], method: str = "") -> str:
     near = difflib.get_close_matches(key.rpartition(".")[2], names, n=1) or names
     if "." not in key:
         near = [each for each in _NESTED if each.rpartition(".")[2] == key] or near
+    budgets = {"epochs", "total_timesteps"}
+    if key.removeprefix("method.") in budgets and budgets & {*names}:
+        near = [f"method.{each}" for each in budgets & {*names}]
     return f"{key}: no such key{f' of {method}' if method else ''}; is it {', '.join(near)}?"
+
+
+def wrong_type(error: OmegaConfBaseException, key: str) -> str:
+    """Say of which type a value must be, or what else OmegaConf refuses.
+
+    Args:
+        error: the exception that OmegaConf raised.
+        key: the full key of the value.
+    """
+    name = key.rpartition(".")[2].partition("[")[0]
+    annotations = get_type_hints(error.object_type) if is_dataclass(error.object_type) else {}
+    kind = str(annotations.get(name, ""))
+    for found, allowed in _TYPES.items():
+        if found in kind:
+            return f"{key}: must be {allowed}{' or null' if 'None' in kind else ''}"
+    return f"{key}: {str(error).splitlines()[0]}"
 
 
 def _seeds(given: Any) -> list[int]:

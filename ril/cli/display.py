@@ -54,7 +54,7 @@ class ConsoleDisplay:
         self._config: Config | None = None
         self._folder = Path()
         self._epochs = 0
-        self._epochs_at_start: int | None = None
+        self._first_epoch: int | None = None
         self._after_first_epoch = (0.0, 0)  # time, and environment steps of all seeds
         self._started = self._printed = 0.0
 
@@ -77,16 +77,16 @@ class ConsoleDisplay:
         assert self._config is not None
         now, total = time.monotonic(), self._epochs
         steps = int(progress.env_samples.sum())
-        if self._epochs_at_start is None:
-            self._epochs_at_start = progress.epoch - 1
+        if self._first_epoch is None:
+            self._first_epoch = progress.epoch
             self._after_first_epoch = now, steps
         facts = _facts(spec(self._config.method.name), progress, record)
-        # The first epoch is left out of the rate, since updates may be compiled in it.
+        # Rates leave out the first epoch since the start, in which updates may be compiled.
         then, steps_before = self._after_first_epoch
         if now > then and steps > steps_before:
             facts["steps per second"] = f"{(steps - steps_before) / (now - then):,.0f} (all seeds)"
-        done = progress.epoch - self._epochs_at_start
-        facts["time left"] = duration((now - self._started) / done * (total - progress.epoch))
+        if done := progress.epoch - self._first_epoch:
+            facts["time left"] = duration((now - then) / done * (total - progress.epoch))
         if self._panel is not None:
             title = f"epoch {progress.epoch} of {total}"
             self._bar.update(self._task, completed=progress.epoch, total=total, description=title)
