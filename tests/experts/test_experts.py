@@ -138,7 +138,7 @@ def test_a_value_out_of_bounds_is_refused_by_its_key(wrong: tuple[str, Any]) -> 
 @pytest.mark.parametrize(
     ("override", "said"),
     [
-        ("env=chess", "env=chess: unknown, choose one of acrobot, cartpole"),
+        ("env=chess", "env=chess: unknown; choose one of acrobot, cartpole"),
         ("target=3", "target: no such key; is it target_return"),
         ("total_timesteps=soon", "total_timesteps: "),
         ("output=expert.csv", "output=expert.csv: must be a file named"),

@@ -137,7 +137,7 @@ def test_no_chunk_is_larger_than_asked(make: Make, monkeypatch: pytest.MonkeyPat
 
 
 def test_an_environment_without_a_goal_is_refused(make: Make) -> None:
-    with pytest.raises(UserError, match=r"^env\.goal: .*minimum_return"):
+    with pytest.raises(UserError, match=r"^env\.goal is empty: .*minimum_return"):
         make("env.goal.minimum_return=null")
 
 
