@@ -212,7 +212,7 @@ def build(config: RILConfig, task: Task) -> Algorithm1:
     Raises:
         UserError: both halves are left out.
     """
-    refuse_nothing(config.imitation, config.reinforcement)
+    check_halves(config.imitation, config.reinforcement)
     policy = initial_policy(config.network, task)  # line 2: π_φ
     return Algorithm1(
         config,
@@ -235,7 +235,7 @@ SPEC = MethodSpec(
 )
 
 
-def refuse_nothing(imitation: bool, reinforcement: bool) -> None:
+def check_halves(imitation: bool, reinforcement: bool) -> None:
     """Refuse a configuration that leaves out both halves.
 
     Raises:
@@ -261,10 +261,10 @@ def cloning(config: ImitationConfig, task: Task, policy: Network) -> Cloning:
 def empty_memory(trajectories: float, task: Task) -> Replay:
     """Make a replay memory for `trajectories` expert trajectories of mean length (§3.4)."""
     size = task.environment.observation_size
-    return Replay(len(task.seeds), steps_of(trajectories, task), size, task.device)
+    return Replay(len(task.seeds), transitions_in(trajectories, task), size, task.device)
 
 
-def steps_of(trajectories: float, task: Task) -> int:
+def transitions_in(trajectories: float, task: Task) -> int:
     """Return the number of transitions in `trajectories` expert trajectories of mean length."""
     return max(1, round(trajectories * task.expert.mean_length))
 

@@ -15,7 +15,7 @@ from ril.learners.goal_sampler import positive_limit
 from ril.learners.imitation import ImitationConfig, SelfSupervisedImitation
 from ril.learners.topology import mlp
 from ril.methods.base import Metrics
-from ril.methods.ril import Algorithm1, cloning, empty_memory, refuse_nothing, steps_of
+from ril.methods.ril import Algorithm1, check_halves, cloning, empty_memory, transitions_in
 from ril.methods.spec import EPSILON, INVERSE_DYNAMICS, TD_LOSS, MethodSpec
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
@@ -106,7 +106,7 @@ def build(config: RILConsistentConfig, task: Task) -> Algorithm1:
     Raises:
         UserError: `n_steps` is longer than an episode, or both halves are left out.
     """
-    refuse_nothing(config.imitation, config.reinforcement)
+    check_halves(config.imitation, config.reinforcement)
     learning = _learning(config, task)
     policy = learning.policy
     imitation = SelfSupervisedImitation(config, task, policy)
@@ -137,7 +137,7 @@ def _learning(config: RILConsistentConfig, task: Task) -> ConsistentLearning:
     )
     recent = None
     if settings.replay_recent is not None:
-        recent = steps_of(settings.replay_recent, task)
+        recent = transitions_in(settings.replay_recent, task)
     # An update costs as much as four of RIL's Q-learning, to which `worth_compiling` is adjusted.
     updates = 4 * config.epochs * config.episodes * settings.updates
     return ConsistentLearning(

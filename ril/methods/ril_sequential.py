@@ -14,7 +14,7 @@ from ril.learners.imitation import ImitationConfig, SelfSupervisedImitation
 from ril.learners.online_q_learning import EPOCHS, OnlineQLearning, OnlineQLearningConfig
 from ril.learners.topology import initial_policy
 from ril.methods.base import Progress
-from ril.methods.ril import Algorithm1, cloning, steps_of
+from ril.methods.ril import Algorithm1, cloning, transitions_in
 from ril.methods.spec import EPSILON, INVERSE_DYNAMICS, TD_LOSS, MethodSpec
 from ril.task import Task
 from ril.vectorized.state import Stateful
@@ -55,7 +55,7 @@ class SequentialRIL(Stateful):
         self.first_half = Algorithm1(config, task, self.policy, self.imitation, cloner, None)
         q_learning = config.q_learning
         if q_learning.replay.capacity is None:
-            memory = replace(q_learning.replay, capacity=steps_of(10, task))  # §3.4
+            memory = replace(q_learning.replay, capacity=transitions_in(10, task))  # §3.4
             q_learning = replace(q_learning, replay=memory)
         self.q_learning = OnlineQLearning(
             q_learning,
