@@ -11,14 +11,12 @@ from typing import Any
 
 from ril.io.errors import UserError
 
-Bytes = bytes | memoryview
-
 
 class WriteError(UserError):
     """A file cannot be written, such as on a full or read-only disk."""
 
 
-def write_atomically(path: Path, *parts: Bytes) -> None:
+def write_atomically(path: Path, *parts: bytes) -> None:
     """Write a file such that readers see its old or its new content, and never a part of it.
 
     Args:
@@ -61,7 +59,7 @@ def temporary_files(folder: Path) -> Iterable[Path]:
     return folder.glob(".*.tmp")
 
 
-def tensor_bytes(content: dict[str, Any]) -> memoryview:
+def tensor_bytes(content: dict[str, Any]) -> bytes:
     """Serialize tensors and plain values.
 
     Args:
@@ -74,4 +72,4 @@ def tensor_bytes(content: dict[str, Any]) -> memoryview:
 
     buffer = io.BytesIO()
     torch.save(content, buffer)
-    return buffer.getbuffer()
+    return buffer.getvalue()  # without a copy
