@@ -56,12 +56,12 @@ class ConsoleDisplay:
         self._epochs = 0
         self._first_epoch: int | None = None
         self._after_first_epoch = (0.0, 0)  # time, and environment steps of all seeds
-        self._started = self._printed = 0.0
+        self._printed = 0.0
 
     def started(self, config: Config, folder: Path, epochs: int) -> None:
         """Say what is trained and for how long."""
         self._config, self._folder, self._epochs = config, folder, epochs
-        self._started = self._printed = time.monotonic()
+        self._printed = time.monotonic()
         cell = f"env={config.env.name} method={config.method.name}"
         seeds = count(len(config.seeds), "seed") + (" together" if len(config.seeds) > 1 else "")
         budget = count(epochs, "epoch") if epochs else "no training"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from functools import cache
 
 from ril.io.errors import UserError
 from ril.io.paths import config_folder
@@ -14,6 +15,7 @@ def names() -> list[str]:
     return sorted(file.stem for file in (config_folder() / "method").glob("*.yaml"))
 
 
+@cache  # the display asks after every epoch
 def spec(name: str) -> MethodSpec:
     """Import one method's file and return its specification.
 

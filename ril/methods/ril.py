@@ -38,11 +38,17 @@ class QLearningConfig(TargetNetworkConfig):
 
 
 @dataclass
-class RILConfig(ImitationConfig):
-    """Settings of RIL: `conf/method/ril.yaml`."""
+class HalvesConfig(ImitationConfig):
+    """Settings of methods that have both halves, either of which may be left out."""
 
     imitation: bool = MISSING
     reinforcement: bool = MISSING
+
+
+@dataclass
+class RILConfig(HalvesConfig):
+    """Settings of RIL: `conf/method/ril.yaml`."""
+
     q_learning: QLearningConfig = part(QLearningConfig)
 
 
@@ -212,7 +218,7 @@ def build(config: RILConfig, task: Task) -> Algorithm1:
     Raises:
         UserError: both halves are left out.
     """
-    check_halves(config.imitation, config.reinforcement)
+    check_halves(config)
     policy = initial_policy(config.network, task)  # line 2: π_φ
     return Algorithm1(
         config,
@@ -235,13 +241,13 @@ SPEC = MethodSpec(
 )
 
 
-def check_halves(imitation: bool, reinforcement: bool) -> None:
+def check_halves(config: HalvesConfig) -> None:
     """Refuse a configuration that leaves out both halves.
 
     Raises:
         UserError: both are false.
     """
-    if not (imitation or reinforcement):
+    if not (config.imitation or config.reinforcement):
         raise UserError(
             "method.imitation=false method.reinforcement=false: at least one must be true, "
             "or nothing is trained"

@@ -5,17 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
-from omegaconf import MISSING
 from torch import Tensor
 
 from ril.config.fields import part
 from ril.io.errors import UserError
 from ril.learners.consistency import ConsistencyConfig, ConsistentLearning
 from ril.learners.goal_sampler import positive_limit
-from ril.learners.imitation import ImitationConfig, SelfSupervisedImitation
+from ril.learners.imitation import SelfSupervisedImitation
 from ril.learners.topology import mlp
 from ril.methods.base import Metrics
-from ril.methods.ril import Algorithm1, check_halves, cloning, empty_memory, transitions_in
+from ril.methods.ril import (
+    Algorithm1,
+    HalvesConfig,
+    check_halves,
+    cloning,
+    empty_memory,
+    transitions_in,
+)
 from ril.methods.spec import EPSILON, INVERSE_DYNAMICS, TD_LOSS, MethodSpec
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
@@ -26,11 +32,9 @@ from ril.vectorized.state import Stateful
 
 
 @dataclass
-class RILConsistentConfig(ImitationConfig):
+class RILConsistentConfig(HalvesConfig):
     """Settings of consistent RIL: `conf/method/ril_consistent.yaml`."""
 
-    imitation: bool = MISSING
-    reinforcement: bool = MISSING
     q_learning: ConsistencyConfig = part(ConsistencyConfig)
 
 
@@ -106,7 +110,7 @@ def build(config: RILConsistentConfig, task: Task) -> Algorithm1:
     Raises:
         UserError: `n_steps` is longer than an episode, or both halves are left out.
     """
-    check_halves(config.imitation, config.reinforcement)
+    check_halves(config)
     learning = _learning(config, task)
     policy = learning.policy
     imitation = SelfSupervisedImitation(config, task, policy)

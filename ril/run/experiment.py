@@ -12,7 +12,7 @@ from ril.io.signals import Stopped, stop_on_signals
 from ril.run.earlier import has_rows, refuse_changed_demonstrations
 from ril.run.prepare import prepare
 from ril.run.provenance import command
-from ril.run.training import Display, Outcome, Run, measure_reference, train_and_score
+from ril.run.training import Display, Run, measure_reference, train_and_score
 from ril.run.write import write_results, write_start
 
 
@@ -62,7 +62,6 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
             commit = write_start(claim.folder, cell)
             stop.immediate = method is None  # measuring a reference can be repeated
             display.started(config, claim.folder, 0 if method is None else method.epochs)
-            outcome: Outcome
             if method is None:
                 outcome = measure_reference(cell)
             else:

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
-from helpers.configurations import checked, leaves, parts, put
-from helpers.runs import composed
+from helpers.configurations import checked, parts, put
+from helpers.runs import composed, leaves
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from omegaconf.errors import OmegaConfBaseException

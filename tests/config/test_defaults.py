@@ -7,8 +7,8 @@ from functools import cache
 from typing import Any
 
 import pytest
-from helpers.configurations import GYM, PAPERS_ENVIRONMENTS, at, leaves
-from helpers.runs import composed
+from helpers.configurations import GYM, PAPERS_ENVIRONMENTS, at
+from helpers.runs import composed, leaves
 from omegaconf import MISSING
 
 from ril.cli.configuration import from_hydra

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from helpers.configurations import leaves
-from helpers.runs import composed
+from helpers.runs import composed, leaves
 from omegaconf import OmegaConf
 
 from ril.io.paths import config_folder

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 import yaml
-from helpers.configurations import leaves, of_file, put
+from helpers.configurations import of_file, put
+from helpers.runs import leaves
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

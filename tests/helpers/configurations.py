@@ -20,18 +20,6 @@ PAPERS_ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 GYM = ("env=gym", "env.id=MountainCar-v0")
 
 
-def leaves(node: Any, key: str = "") -> dict[str, Any]:
-    """All values of a configuration by full key; an empty dict is a value."""
-    if dataclasses.is_dataclass(node):
-        node = {field.name: getattr(node, field.name) for field in dataclasses.fields(node)}
-    if not isinstance(node, dict) or not node:
-        return {key: node}
-    found: dict[str, Any] = {}
-    for name, value in node.items():
-        found |= leaves(value, f"{key}.{name}" if key else name)
-    return found
-
-
 def parts(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """All dataclasses of a configuration by full key, itself first."""
     yield key, node

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -71,9 +71,8 @@ _SMALL: dict[str, object] = {
 @cache
 def quick_method(name: str) -> tuple[str, ...]:
     """The overrides that make a run of any method one of a second; None leaves the default."""
-    keys = [key for key, _ in _leaves(OmegaConf.to_container(composed(f"method={name}").method))]
     found = {}
-    for key in keys:
+    for key in leaves(OmegaConf.to_container(composed(f"method={name}").method)):
         ends = [".".join(key.split(".")[start:]) for start in range(key.count(".") + 1)]
         for end in (*(f"{name} {end}" for end in ends), *ends):
             if end in _SMALL:
@@ -84,12 +83,16 @@ def quick_method(name: str) -> tuple[str, ...]:
     return (*small, *by_steps)
 
 
-def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(node, dict):
-        for name, child in node.items():
-            yield from _leaves(child, f"{key}.{name}" if key else name)
-    else:
-        yield key, node
+def leaves(node: Any, key: str = "") -> dict[str, Any]:
+    """All values of a configuration by full key; an empty dict is a value."""
+    if is_dataclass(node):
+        node = {field.name: getattr(node, field.name) for field in fields(node)}
+    if not isinstance(node, dict) or not node:
+        return {key: node}
+    found: dict[str, Any] = {}
+    for name, value in node.items():
+        found |= leaves(value, f"{key}.{name}" if key else name)
+    return found
 
 
 #: CartPole with a goal that some of an untrained policy's episodes reach, and others do not.
