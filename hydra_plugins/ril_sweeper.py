@@ -14,6 +14,7 @@ from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
+from ril import kernels
 from ril.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -65,6 +66,8 @@ class CellSweeper(Sweeper):
             UserError: no cell can be run; nothing was written.
             SystemExit: a cell failed, or the user stopped the sweep.
         """
+        if not self.config.exact:
+            kernels.release()  # for the workers, whose cells share one level
         # Imported here, since Hydra loads its plugins at every start of a command.
         from ril.cli.sweep import expand, plan
         from ril.cli.sweep_progress import SweepProgress

@@ -2,6 +2,10 @@
 
 from importlib.metadata import PackageNotFoundError, version
 
+from ril import kernels
+
+kernels.fix()  # before any module of ril imports NumPy or torch
+
 #: The distribution's name: on PyPI, "ril" is another project, an image library.
 DISTRIBUTION = "ril-imitation"
 

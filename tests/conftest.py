@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torch
+
+# isort: split
+
 import sys
 from collections.abc import Callable
 from pathlib import Path

@@ -8,13 +8,14 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_type_hints
 
+import yaml
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from ril.config.fields import check
 from ril.config.schema import AblationConfig, Config, EnvironmentConfig, EvaluationConfig
-from ril.io.errors import UserError
+from ril.io.errors import UserError, one_line
 from ril.io.paths import config_folder
 
 T = TypeVar("T")
@@ -97,19 +98,42 @@ def from_hydra(composed: DictConfig) -> Config:
     Raises:
         UserError: a value is missing or not allowed, or a key does not exist.
     """
-    from ril.methods.registry import spec  # imports torch
-
     if composed.fidelity not in ("works", "paper"):
         raise UserError(f"fidelity={composed.fidelity}: must be one of works, paper")
     for key in sorted(OmegaConf.missing_keys(composed)):
         raise UserError(f"{key}: must be given")
     values = cast(dict[str, Any], OmegaConf.to_container(composed, resolve=True))
-    method = values["method"]
-    name = method.get("name")
-    values["method"] = {"name": name}
     own = {field.name for field in fields(Config)}
     extra = {field.name for field in fields(ComposedConfig)} - own
-    config = _typed(Config, {key: each for key, each in values.items() if key not in extra})
+    return _checked({key: each for key, each in values.items() if key not in extra})
+
+
+def from_file(path: Path) -> Config:
+    """Read the configuration of a run from its `config.yaml`.
+
+    Raises:
+        UserError: the file cannot be read, or another version of ril wrote it.
+    """
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return _checked(values)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise UserError(f"{path}: cannot be read ({one_line(error)})") from None
+    except (UserError, LookupError, TypeError, AttributeError, ValueError) as error:
+        raise UserError(f"{path}: is not a configuration of this version ({error})") from None
+
+
+def _checked(values: Mapping[str, Any]) -> Config:
+    """Turn values by key into checked dataclasses.
+
+    Raises:
+        UserError: a value is missing or not allowed, or a key does not exist.
+    """
+    from ril.methods.registry import spec  # imports torch
+
+    method = values["method"]
+    name = method.get("name")
+    config = _typed(Config, {**values, "method": {"name": name}})
     config.method = _typed(spec(name).config, method, "method")
     if ".." in Path(config.env.name).parts or Path(config.env.name).is_absolute():
         raise UserError(f"env.name={config.env.name}: must name a folder below output_dir")

@@ -12,6 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from ril import kernels
 from ril.cli.command import (
     MISTAKES,
     SWEEP_GROUPS,
@@ -52,6 +53,8 @@ def _run(composed: DictConfig) -> None:
         # The rows name the command that runs this cell, not the sweep's or the worker's.
         hydra_config = HydraConfig.get()
         sys.argv = cell_command(hydra_config.overrides.task, hydra_config.runtime.config_sources)
+    if alone and not composed.exact:
+        kernels.release()  # before anything imports NumPy or torch
     config = from_hydra(composed)
 
     from ril.cli.display import ConsoleDisplay

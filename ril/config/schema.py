@@ -106,6 +106,7 @@ class Config:
     output_dir: str = MISSING
     processes: int | None = None
     device: str = MISSING
+    exact: bool = MISSING
     compile: Any = one_of("auto", True, False)
     resume: bool = MISSING
     logging: Any = None

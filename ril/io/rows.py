@@ -42,6 +42,7 @@ class Row:
         expert_return_measured: mean return of all the expert's demonstrations.
         wall_seconds: duration of the whole run, all its seeds together.
         commit: the code's commit, with "-dirty" for uncommitted changes; "" outside a checkout.
+        digits: "exact" if another machine computes the same digits, or else why it may not.
     """
 
     run_id: str
@@ -68,6 +69,7 @@ class Row:
     expert_return_measured: float
     wall_seconds: float
     commit: str
+    digits: str
 
 
 @dataclass(frozen=True)

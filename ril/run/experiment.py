@@ -11,7 +11,7 @@ from ril.io.locks import claimed
 from ril.io.signals import Stopped, stop_on_signals
 from ril.run.earlier import has_rows, refuse_changed_demonstrations
 from ril.run.prepare import prepare
-from ril.run.provenance import command
+from ril.run.provenance import command, digits
 from ril.run.training import Display, Run, measure_reference, train_and_score
 from ril.run.write import write_results, write_start
 
@@ -59,6 +59,8 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
                     f"{claim.folder}: this file system has no locks; do not run the same cell "
                     "twice at the same time"
                 )
+            if config.exact and (why := digits(config)) != "exact":
+                display.noted(f"{why}: last digits may differ from other machines'")
             commit = write_start(claim.folder, cell)
             stop.immediate = method is None  # measuring a reference can be repeated
             display.started(config, claim.folder, 0 if method is None else method.epochs)

@@ -26,6 +26,8 @@ def run_id(config: Config, demonstrations_sha256: str) -> str:
         del content[key]
     del content["env"]["vectorized"]  # results are bit-identical either way
     content["demonstrations"] = demonstrations_sha256
+    if not config.exact:
+        del content["exact"]
     method = spec(config.method.name)
     # auto may decide differently on another machine, where the last bits may differ anyway.
     if config.compile == "auto" or not method.compiles:

@@ -13,7 +13,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from ril import __version__
+from ril import __version__, kernels
+from ril.config.schema import Config
+from ril.vectorized.compiling import compiler_version
 
 _LIBRARIES = ("torch", "numpy", "gymnasium", "stable-baselines3", "hydra-core", "pandas")
 _PACKAGE = Path(__file__).parents[1]
@@ -38,16 +40,27 @@ def command() -> str:
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
-def origin(identifier: str) -> dict[str, str]:
-    """Return what must be the same when a run resumes, so that one version computes all its rows.
+def digits(config: Config) -> str:
+    """Return "exact" if any machine computes the same digits as this process, or else why not."""
+    if not config.exact:
+        return "exact=false"
+    if config.device != "cpu":
+        return f"device={config.device}"
+    return kernels.difference() or "exact"
+
+
+def origin(identifier: str, config: Config) -> dict[str, str]:
+    """Return what must be the same when a run resumes, so that all its rows are of one kind.
 
     Args:
         identifier: the run's `run_id`.
+        config: its configuration.
     """
     return {
         "run_id": identifier,
         "ril": __version__,
         "code": _code(),
+        "digits": "exact" if digits(config) == "exact" else f"of {_processor()}",
         **{name: version(name) for name in _LIBRARIES[:4]},
     }
 
@@ -62,12 +75,13 @@ def _code() -> str:
     return digest.hexdigest()[:12]
 
 
-def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
+def provenance(demonstrations: Path, sha256: str, config: Config) -> dict[str, Any]:
     """Return the content of `provenance.json` at the start of a run.
 
     Args:
         demonstrations: path of the file.
         sha256: hash of its content.
+        config: the run's configuration.
     """
     return {
         "command": command(),
@@ -78,6 +92,9 @@ def provenance(demonstrations: Path, sha256: str) -> dict[str, Any]:
         "versions": {name: version(name) for name in _LIBRARIES},
         "platform": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
+        "libc": " ".join(platform.libc_ver()),
+        "compiler": compiler_version(),
+        "digits": digits(config),
         "cores": os.cpu_count(),
         "demonstrations": {"file": demonstrations.name, "sha256": sha256},
     }

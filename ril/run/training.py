@@ -175,7 +175,7 @@ class _Checkpoints:
     def __init__(self, run: Run, record: Record, display: Display) -> None:
         self._run, self._record, self._display = run, record, display
         self._path = run.claim.folder / "checkpoint.pt"
-        self._origin = origin(run.cell.run_id)
+        self._origin = origin(run.cell.run_id, run.cell.config)
         self._started = self._saved = time.monotonic()
         self._cost = self.seconds_before = 0.0
         self.fault = ""

@@ -16,9 +16,12 @@ from ril.io.rows import Row, write_csv
 from ril.policy import save_policies
 from ril.run.earlier import DAMAGED
 from ril.run.prepare import Cell
-from ril.run.provenance import provenance
+from ril.run.provenance import digits, provenance
 from ril.run.training import Outcome
 from ril.vectorized.evaluation import random_returns
+
+#: What a resumed run adds to its provenance.
+_AGAIN = ("command", "started", "commit", "processor", "digits")
 
 
 def write_start(folder: Path, cell: Cell) -> str:
@@ -31,7 +34,8 @@ def write_start(folder: Path, cell: Cell) -> str:
     Raises:
         UserError: the run is resumed, and the provenance of its first start cannot be read.
     """
-    now = provenance(cell.demonstrations_path, cell.demonstrations.sha256)
+    sha256 = cell.demonstrations.sha256
+    now = provenance(cell.demonstrations_path, sha256, cell.config)
     details = _with_first_start(folder, {"run_id": cell.run_id, **now})
     settings = yaml.safe_dump(dataclasses.asdict(cell.config), sort_keys=False, allow_unicode=True)
     write_atomically(folder / "config.yaml", settings.encode())
@@ -96,6 +100,7 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
             expert_return_measured=expert,
             wall_seconds=round(outcome.seconds, 2),
             commit=commit,
+            digits=digits(config),
         )
         for index, seed in enumerate(config.seeds)
     ]
@@ -114,7 +119,7 @@ def _with_first_start(folder: Path, details: dict[str, Any]) -> dict[str, Any]:
                 f"{path}: cannot be read, so the run's first start is unknown; "
                 f"delete {folder}, or give resume=false, to start again"
             ) from None
-        again = {key: details[key] for key in ("command", "started", "commit", "processor")}
+        again = {key: details[key] for key in _AGAIN}
         details = first | {"resumed": [*resumed, again]}
     write_atomically(path, json.dumps(details, indent=2).encode())
     return details

@@ -5,18 +5,33 @@ from __future__ import annotations
 import functools
 import os
 import shutil
+import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ril import kernels
 from ril.io.errors import one_line
 
 #: Compiling takes up to half a minute and pays off after this many updates. The number does not
 #: depend on how many seeds are trained together: compiled and eager results differ in the last
 #: bits, and a seed's results must not depend on the other seeds.
 _WORTHWHILE = 30_000
+
+#: torch's options that make a graph's digits the same on every machine (`ril.kernels`).
+_EXACT: dict[str, Any] = {
+    "cpp.simdlen": 256,
+    "cpp.march": "haswell",  # instead of the machine's own instructions
+    "cpp.enable_floating_point_contract_flag": "off",  # a·b + c rounds twice, as it is written
+    "cpp.enable_unsafe_math_opt_flag": False,
+    # Products are C++ too, twice as fast as MKL's that are the same on every processor.
+    "max_autotune_gemm": True,
+    "max_autotune_gemm_backends": "CPP",
+    "epilogue_fusion": False,  # torch 2.13 fails to compile it for a single seed
+    "deterministic": True,  # no choice depends on a measurement
+}
 
 
 def worth_compiling(wanted: bool | str, updates: int) -> bool:
@@ -30,12 +45,24 @@ def worth_compiling(wanted: bool | str, updates: int) -> bool:
     """
     if not (wanted is True or (wanted == "auto" and updates >= _WORTHWHILE)):
         return False
-    candidates = [os.environ["CXX"]] if "CXX" in os.environ else ["g++", "clang++", "c++"]
     header = Path(sysconfig.get_path("include"), "Python.h")
-    if any(shutil.which(name) for name in candidates) and header.exists():
+    if any(shutil.which(name) for name in _compilers()) and header.exists():
         return True
-    _warn(f"no C++ compiler found ({', '.join(candidates)}), or {header} is missing")
+    _warn(f"no C++ compiler found ({', '.join(_compilers())}), or {header} is missing")
     return False
+
+
+def compiler_version() -> str:
+    """Return the first line of the C++ compiler's own version; "" without one."""
+    found = next(filter(None, map(shutil.which, _compilers())), None)
+    if found is None:
+        return ""
+    said = subprocess.run([found, "--version"], capture_output=True, text=True, check=False)
+    return said.stdout.partition("\n")[0]
+
+
+def _compilers() -> list[str]:
+    return [os.environ["CXX"]] if "CXX" in os.environ else ["g++", "clang++", "c++"]
 
 
 def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -50,21 +77,27 @@ def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
     import torch._inductor.config
 
     torch._inductor.config.compile_threads = 1  # the graphs are small: workers would cost more
-    # Every call of a graph has the same shapes, so torch's checks of its arguments, a fifth of
-    # each call's time, are switched off.
-    options: dict[str, Any] = {"guard_filter_fn": lambda guards: [False] * len(guards)}
-    options["cpp_wrapper"] = True  # also compile the code that calls the kernels
-    lazily: Any = torch.compile(function, fullgraph=True, dynamic=False, options=options)
     graphs: list[Callable[..., Any]] = []
 
     def call(*arguments: Any) -> Any:
         if not graphs:
+            options = _options(on_cpu=arguments[0].is_cpu)
+            lazily: Any = torch.compile(function, fullgraph=True, dynamic=False, options=options)
             graph = lazily.aot_compile((arguments, {}))
             graph.disable_guard_check()
             graphs.append(graph)
         return graphs[0](*arguments)
 
     return call
+
+
+def _options(*, on_cpu: bool) -> dict[str, Any]:
+    """Return torch's options for a graph."""
+    # Every call of a graph has the same shapes, so torch's checks of its arguments, a fifth of
+    # each call's time, are switched off.
+    options: dict[str, Any] = {"guard_filter_fn": lambda guards: [False] * len(guards)}
+    options["cpp_wrapper"] = True  # also compile the code that calls the kernels
+    return options | _EXACT if on_cpu and not kernels.difference() else options
 
 
 def with_fallback(compiled: Callable[..., Any], eager: Callable[..., Any]) -> Callable[..., Any]:
@@ -98,4 +131,5 @@ def _cause(error: Exception) -> str:
 
 @functools.cache  # print each line once, however many functions it concerns
 def _warn(problem: str) -> None:
-    print(f"ril: {problem}; training without compiling, which is slower", file=sys.stderr)
+    line = f"ril: {problem}; training without compiling: slower, and with other last digits"
+    print(line, file=sys.stderr)

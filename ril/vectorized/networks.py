@@ -196,8 +196,31 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     if outputs < least:
         padding = 0, least - outputs
         weight, bias = functional.pad(weight, padding), functional.pad(bias, padding)
-        return torch.baddbmm(bias, x, weight)[..., :outputs]
-    return torch.baddbmm(bias, x, weight)
+    if torch.compiler.is_compiling():
+        product: Tensor = _Product.apply(x.contiguous(), weight.contiguous())  # type: ignore[no-untyped-call]
+        return (product + bias)[..., :outputs]
+    return torch.baddbmm(bias, x, weight)[..., :outputs]
+
+
+class _Product(torch.autograd.Function):
+    """Each seed's XW, as `compiling` needs it: the gradients' factors are contiguous too."""
+
+    @staticmethod
+    def forward(x: Tensor, weight: Tensor) -> Tensor:
+        """Compute XW, (S, B, m)."""
+        return torch.bmm(x, weight)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, Tensor], output: Tensor) -> None:
+        """Keep X and W for the gradients."""
+        ctx.save_for_backward(*inputs)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute the gradients of X and W from that of XW."""
+        x, weight = ctx.saved_tensors
+        of_x = torch.bmm(gradient, weight.mT.contiguous())
+        return of_x, torch.bmm(x.mT.contiguous(), gradient)
 
 
 def self_attention(x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor) -> Tensor:
