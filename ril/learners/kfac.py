@@ -184,6 +184,7 @@ class KFAC(Stateful):
         gradient, delta = torch.cat(gradients, dim=1), torch.cat(steps, dim=1)
         # F̂Δ = ∇, so ∇ᵀΔ = ΔᵀF̂Δ, and the trust region η²·ΔᵀF̂Δ / 2 ≤ δ limits the rate η.
         quadratic = (gradient * delta).sum(dim=1, keepdim=True).clamp_min(1e-12)
-        rate = (2 * config.kl_clip / quadratic).sqrt().clamp(max=config.learning_rate)
+        # √(2δ/q) as 1/√(q/2δ): MKL's square root has other digits on another processor.
+        rate = (quadratic / (2 * config.kl_clip)).rsqrt().clamp(max=config.learning_rate)
         self.velocity.lerp_(rate * delta, 1 - config.momentum)
         self.network.flat.sub_(self.velocity)

@@ -84,4 +84,6 @@ class ClippedAdam(Stateful):
             gradient = gradient.clamp(-self.gradient_clip, self.gradient_clip)
         self.mean.lerp_(gradient, 1 - self.beta1)
         self.square.mul_(self.BETA2).addcmul_(gradient, gradient, value=1 - self.BETA2)
-        return self.mean, self.square.sqrt().div_(square_scale).add_(self.EPSILON)
+        # √v/scale as 1/(scale/√v): MKL's square root has other digits on another processor.
+        root = self.square.rsqrt().mul_(square_scale).reciprocal_()
+        return self.mean, root.add_(self.EPSILON)
