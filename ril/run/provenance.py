@@ -60,7 +60,7 @@ def origin(identifier: str, config: Config) -> dict[str, str]:
         "run_id": identifier,
         "ril": __version__,
         "code": _code(),
-        "digits": "exact" if digits(config) == "exact" else f"of {_processor()}",
+        "digits": digits(config),
         **{name: version(name) for name in _LIBRARIES[:4]},
     }
 

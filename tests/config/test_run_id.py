@@ -145,7 +145,8 @@ def test_every_kept_run_has_the_id_of_its_configuration() -> None:
 def test_the_kept_rows_are_of_the_default_configuration(
     compose: Any, environments: Any, env: str, method: str
 ) -> None:
-    config = compose(f"env={env}", f"method={method}")
+    # They were made before digits could be the same on every machine.
+    config = compose(f"env={env}", f"method={method}", "exact=false")
     demonstrations = load_demonstrations(demonstrations_path(config), environments[env])
     identifier = run_id(config, demonstrations.sha256)
     assert (REFERENCE / env / method / identifier / "results.csv").exists()

@@ -180,11 +180,14 @@ RUNS_CODE = {
 #: Uses that are something else, or whose input does not come from a file.
 ALLOWED = {
     ("methods/registry.py", "import_module"),  # names of its own table
+    ("kernels.py", "system"),  # platform.system
     ("run/provenance.py", "run"),  # git
     ("run/provenance.py", "system"),  # platform.system
     ("cli/run.py", "run"),  # a cell
+    ("run/verify.py", "run"),  # a cell
     ("run/loggers.py", "resolve_name"),  # a logger of the user's own, docs/logging.md
     ("vectorized/compiling.py", "compile"),  # torch.compile
+    ("vectorized/compiling.py", "run"),  # the compiler's --version
 }
 SOURCES = sorted(Path(ril.__file__).parent.rglob("*.py"))
 

@@ -78,10 +78,10 @@ def test_one_of_another_run_or_code_names_what_differs(path: Path, key: str) -> 
     assert f"({key} {ORIGIN[key]}; now {key} other)" in said
 
 
-def test_an_origin_has_the_run_the_code_and_what_it_computes_with() -> None:
-    found = origin("0123456789")
+def test_an_origin_has_the_run_the_code_and_what_it_computes_with(compose: Any) -> None:
+    found = origin("0123456789", compose())
     assert list(found) == [
-        *("run_id", "ril", "code", "torch", "numpy", "gymnasium", "stable-baselines3")
+        *("run_id", "ril", "code", "digits", "torch", "numpy", "gymnasium", "stable-baselines3")
     ]
     assert found["torch"] == version("torch")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,14 +38,14 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ],
 )
 def test_an_origin_changes_with_the_code_that_can_change_numbers(
-    package: Path, name: str, counts: bool
+    package: Path, name: str, counts: bool, compose: Any
 ) -> None:
-    before = provenance.origin("0")["code"]
+    before = provenance.origin("0", compose())["code"]
     (package / name).write_text("2\n")
-    assert (provenance.origin("0")["code"] != before) is counts
+    assert (provenance.origin("0", compose())["code"] != before) is counts
 
 
-def test_an_origin_changes_with_the_names_of_files(package: Path) -> None:
-    before = provenance.origin("0")["code"]
+def test_an_origin_changes_with_the_names_of_files(package: Path, compose: Any) -> None:
+    before = provenance.origin("0", compose())["code"]
     (package / "task.py").rename(package / "tasks.py")
-    assert provenance.origin("0")["code"] != before
+    assert provenance.origin("0", compose())["code"] != before
