@@ -16,10 +16,11 @@ from ril.environments import Environment, Floats
 from ril.io.errors import UserError
 from ril.io.files import tensor_bytes, write_atomically
 from ril.vectorized.latent_networks import ActionRemapping, LatentDynamics, LatentPolicy
-from ril.vectorized.networks import MLP, Architecture, Dueling, Network
+from ril.vectorized.networks import MLP, Architecture, Dueling, Network, Standardized
 
 _ARCHITECTURES: dict[str, type[Architecture]] = {
-    kind.__name__: kind for kind in (MLP, Dueling, LatentPolicy, LatentDynamics, ActionRemapping)
+    kind.__name__: kind
+    for kind in (MLP, Dueling, Standardized, LatentPolicy, LatentDynamics, ActionRemapping)
 }
 
 

@@ -22,7 +22,6 @@ class Task:
         ablation: k and n of eq. 2.
         device: device of all tensors.
         compile: whether updates are compiled: True, False, or "auto" for long trainings only.
-        processes: number of processes for methods whose seeds do not train as one batch.
     """
 
     environment: Environment
@@ -31,4 +30,3 @@ class Task:
     ablation: AblationConfig
     device: torch.device
     compile: bool | str = False
-    processes: int = 1

@@ -36,8 +36,8 @@ CELLS = {
     "dqn_prioritized": (CARTPOLE, "method.total_timesteps=10_000"),
     "acktr": (CARTPOLE, "method.total_timesteps=50_000"),
     "ilpo": (CARTPOLE,),
-    "ppo": (CARTPOLE, "method.total_timesteps=20_000", "processes=1"),
-    "gail": (CARTPOLE, "method.total_timesteps=20_000", "processes=1"),
+    "ppo": (CARTPOLE, "method.total_timesteps=20_000"),
+    "gail": (CARTPOLE, "method.total_timesteps=20_000"),
 }
 STAGES = ("starting", "before a checkpoint", "between checkpoints", "scoring and rows")
 

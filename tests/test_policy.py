@@ -12,7 +12,7 @@ from ril.environments import Environment
 from ril.io.errors import UserError
 from ril.policy import load_policy, save_policies
 from ril.vectorized.latent_networks import ActionRemapping, LatentDynamics, LatentPolicy
-from ril.vectorized.networks import MLP, Architecture, Dueling, Network
+from ril.vectorized.networks import MLP, Architecture, Dueling, Network, Standardized
 
 pytestmark = pytest.mark.quick
 
@@ -49,6 +49,7 @@ def test_a_loaded_policy_is_the_seeds_network_on_scaled_observations(
 
 KINDS = [
     dataclasses.replace(ARCHITECTURE, layer_norm=False, negative_slope=None),
+    Standardized(dataclasses.replace(ARCHITECTURE, negative_slope=None), 0.5),
     Dueling(dataclasses.replace(ARCHITECTURE, hidden=(5, 3), outputs=1), ARCHITECTURE),
     LatentPolicy(
         LatentDynamics(4, 3, encoder=(5, 6), generator=7, negative_slope=0.1),

@@ -104,7 +104,6 @@ class Config:
     seeds: Any = any_number()
     demonstrations: str | None = None
     output_dir: str = MISSING
-    processes: int | None = None
     device: str = MISSING
     exact: bool = MISSING
     compile: Any = one_of("auto", True, False)

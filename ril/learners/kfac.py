@@ -14,6 +14,7 @@ from ril.config.fields import within
 from ril.io.errors import UserError
 from ril.vectorized.networks import MLP, Network, apply_linear
 from ril.vectorized.state import Stateful
+from ril.vectorized.updates import square_root
 
 
 @dataclass
@@ -184,7 +185,6 @@ class KFAC(Stateful):
         gradient, delta = torch.cat(gradients, dim=1), torch.cat(steps, dim=1)
         # F̂Δ = ∇, so ∇ᵀΔ = ΔᵀF̂Δ, and the trust region η²·ΔᵀF̂Δ / 2 ≤ δ limits the rate η.
         quadratic = (gradient * delta).sum(dim=1, keepdim=True).clamp_min(1e-12)
-        # √(2δ/q) as 1/√(q/2δ): MKL's square root has other digits on another processor.
-        rate = (quadratic / (2 * config.kl_clip)).rsqrt().clamp(max=config.learning_rate)
+        rate = square_root(2 * config.kl_clip / quadratic).clamp(max=config.learning_rate)
         self.velocity.lerp_(rate * delta, 1 - config.momentum)
         self.network.flat.sub_(self.velocity)

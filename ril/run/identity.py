@@ -11,7 +11,7 @@ from ril.config.schema import Config
 from ril.methods.registry import spec
 
 #: Keys that cannot change a number; demonstrations are hashed by content, not by path.
-_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "processes", "logging")
+_NOT_IN_RUN_ID = ("output_dir", "resume", "demonstrations", "logging")
 
 
 def run_id(config: Config, demonstrations_sha256: str) -> str:

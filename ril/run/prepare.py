@@ -17,7 +17,6 @@ from ril.methods.registry import spec
 from ril.methods.spec import MethodSpec
 from ril.run.identity import run_folder
 from ril.task import Task
-from ril.vectorized.processes import usable_processes
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,6 @@ class Cell:
             config.ablation,
             torch.device(config.device),
             config.compile,
-            usable_processes(config.processes),
         )
 
 

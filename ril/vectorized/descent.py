@@ -50,8 +50,7 @@ def descent(
 
         views = by_name(network.architecture, parameters)
         gradients, values = torch.func.grad(total, has_aux=True)(views)
-        gradient = torch.cat([each.flatten(1) for each in gradients.values()], dim=1)
-        mean, denominator = optimizer.change(gradient, scales[1])
+        mean, denominator = optimizer.change(gradients.values(), scales[1])
         parameters.sub_(scales[2] / scales[0] * mean / denominator)
         descended: tuple[Tensor, ...] = values
         return descended

@@ -140,6 +140,55 @@ class Consistent:
         return _streams_forward(parameters, x, policy=self.policy)[0]
 
 
+@dataclass(frozen=True)
+class ActorCritic:
+    """A policy π(a | s) and a value function V(s), which share no parameters.
+
+    Attributes:
+        actor: π, with one logit per action; its parameters come first.
+        critic: V, with one output.
+    """
+
+    actor: MLP
+    critic: MLP
+
+    def shapes(self) -> dict[str, tuple[int, int]]:
+        """Return (rows, columns) of every parameter of one seed, by name."""
+        return _streams_shapes(actor=self.actor, critic=self.critic)
+
+    def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Map (S, B, inputs) to (S, B, |A|) logits."""
+        return _streams_forward(parameters, x, actor=self.actor)[0]
+
+    def values(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Map (S, B, inputs) to (S, B) values."""
+        return _streams_forward(parameters, x, critic=self.critic)[0].squeeze(-1)
+
+
+@dataclass(frozen=True)
+class Standardized:
+    """A network whose inputs are standardized, and clipped to ±`clip` deviations.
+
+    Attributes:
+        network: the network; its parameters come last.
+        clip: the largest standardized input.
+    """
+
+    network: MLP
+    clip: float
+
+    def shapes(self) -> dict[str, tuple[int, int]]:
+        """Return (rows, columns) of every parameter of one seed, by name."""
+        row = 1, self.network.inputs
+        return {"standardize.mean": row, "standardize.deviation": row} | self.network.shapes()
+
+    def forward(self, parameters: Parameters, x: Tensor) -> Tensor:
+        """Map (S, B, inputs) to (S, B, outputs)."""
+        mean, deviation = parameters["standardize.mean"], parameters["standardize.deviation"]
+        standardized = ((x - mean) / deviation).clamp(-self.clip, self.clip)
+        return self.network.forward(parameters, standardized)
+
+
 def _streams_shapes(**streams: MLP) -> dict[str, tuple[int, int]]:
     """Return (rows, columns) of every parameter of several streams, by name."""
     return {

@@ -32,6 +32,14 @@ class Streams:
             generator.random(dtype=np.float32, out=of_seed)
         return numbers
 
+    def normal(self, *shape: int) -> NDArray[np.float64]:
+        """Draw (S, *shape) numbers of the standard normal distribution."""
+        return np.stack([g.standard_normal(shape) for g in self._generators])
+
+    def permutations(self, count: int, size: int) -> NDArray[np.int64]:
+        """Draw (S, count, size): permutations of 0, 1, …, size − 1."""
+        return np.stack([[g.permutation(size) for _ in range(count)] for g in self._generators])
+
     def integers(self, high: int, *shape: int) -> NDArray[np.int64]:
         """Draw (S, *shape) integers in [0, high)."""
         return np.stack([g.integers(high, size=shape) for g in self._generators])

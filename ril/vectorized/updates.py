@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import ClassVar
 
 import torch
@@ -13,13 +14,17 @@ from ril.vectorized.state import Stateful
 
 
 class ClippedAdam(Stateful):
-    """Adam with its default values (§4.1), after clipping each entry of the gradient (§3.4).
+    """Adam with its default values (§4.1), after clipping the gradient.
 
     Args:
         network: the networks whose parameters are updated, in place.
         learning_rate: α of §4.1; it may change between steps and is not part of the state.
-        gradient_clip: each entry of the gradient is clipped to [−clip, clip]; None does not clip.
+        gradient_clip: each entry of the gradient is clipped to [−clip, clip] (§3.4); None does not
+            clip.
         beta1: decay rate of the running mean of the gradients.
+        epsilon: ε of Adam.
+        max_norm: the largest norm of each seed's gradient; a longer one is scaled down to it.
+            None does not clip.
 
     Attributes:
         steps: number of steps so far.
@@ -28,7 +33,7 @@ class ClippedAdam(Stateful):
     """
 
     STATE: ClassVar = ("steps", "mean", "square")
-    BETA2, EPSILON = 0.999, 1e-8
+    BETA2 = 0.999
 
     def __init__(
         self,
@@ -36,11 +41,15 @@ class ClippedAdam(Stateful):
         learning_rate: float,
         gradient_clip: float | None = None,
         beta1: float = 0.9,
+        epsilon: float = 1e-8,
+        max_norm: float | None = None,
     ) -> None:
         self.network = network
         self.learning_rate = learning_rate
         self.gradient_clip = gradient_clip
         self.beta1 = beta1
+        self.epsilon = epsilon
+        self.max_norm = max_norm
         self.steps = 0
         self.mean = torch.zeros_like(network.flat)
         self.square = torch.zeros_like(network.flat)
@@ -54,9 +63,8 @@ class ClippedAdam(Stateful):
         """
         leaves = list(self.network.parameters.values())
         gradients = torch.autograd.grad(losses.sum(), leaves)
-        gradient = torch.cat([g.reshape(len(g), -1) for g in gradients], dim=1)
         mean_scale, square_scale = self.scales()
-        change = self.change(gradient, square_scale)
+        change = self.change(gradients, square_scale)
         self.network.flat.addcdiv_(*change, value=-self.learning_rate / mean_scale)
         self.steps += 1
 
@@ -70,20 +78,35 @@ class ClippedAdam(Stateful):
         steps = self.steps + 1
         return 1 - self.beta1**steps, math.sqrt(1 - self.BETA2**steps)
 
-    def change(self, gradient: Tensor, square_scale: float | Tensor) -> tuple[Tensor, Tensor]:
+    def change(
+        self, gradients: Iterable[Tensor], square_scale: float | Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Update both running means, and compute the step except for its scale.
 
         Args:
-            gradient: (S, P).
+            gradients: of each parameter, (S, rows, columns).
             square_scale: the second of `scales`.
 
         Returns:
             The step's numerator and denominator, (S, P) each.
         """
+        parts = [gradient.flatten(1) for gradient in gradients]
+        if self.max_norm is not None:
+            norms = [part.square().sum(dim=1, keepdim=True) for part in parts]
+            norm = square_root(torch.cat(norms, dim=1).sum(dim=1, keepdim=True))
+            scale = (self.max_norm / (norm + 1e-6)).clamp(max=1.0)
+            parts = [part * scale for part in parts]
+        gradient = torch.cat(parts, dim=1)
         if self.gradient_clip is not None:
             gradient = gradient.clamp(-self.gradient_clip, self.gradient_clip)
         self.mean.lerp_(gradient, 1 - self.beta1)
         self.square.mul_(self.BETA2).addcmul_(gradient, gradient, value=1 - self.BETA2)
-        # √v/scale as 1/(scale/√v): MKL's square root has other digits on another processor.
-        root = self.square.rsqrt().mul_(square_scale).reciprocal_()
-        return self.mean, root.add_(self.EPSILON)
+        return self.mean, square_root(self.square).div_(square_scale).add_(self.epsilon)
+
+
+def square_root(x: Tensor) -> Tensor:
+    """Compute √x, with the same digits on every make of processor.
+
+    `torch.sqrt` is MKL's, which begins with an approximation that each make has its own of.
+    """
+    return x.rsqrt().reciprocal_()

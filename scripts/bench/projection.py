@@ -37,7 +37,7 @@ def hours(name: str, trajectories: int, env: str) -> float:
     overrides = [f"env={env}", f"method={name}", f"ablation.trajectories={trajectories}"]
     if name == SECOND_HALF:
         overrides.append("method.epochs=1")
-    config = composed(*overrides, "seeds=10", "processes=1")
+    config = composed(*overrides, "seeds=10")
     cell = prepare(config)
     method, evaluation = cell.build_method(), Evaluation(cell.environment, config.seeds)
     progress = method.train()

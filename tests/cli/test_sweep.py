@@ -98,7 +98,7 @@ def test_a_sweep_of_refused_cells_only_is_refused() -> None:
 
 
 def test_a_sweep_over_methods_may_set_keys_that_ril_lacks(here: Here, tmp_path: Path) -> None:
-    command = (*BASIC, *CARTPOLE, *QUICK_RUN[:-1], *quick_method("dqn"), "processes=1")
+    command = (*BASIC, *CARTPOLE, *QUICK_RUN, *quick_method("dqn"))
     ended = here(*command, "method=dqn,dqn_prioritized")
     assert (ended.status, ended.errors) == (0, "")
     rows = [pd.read_csv(path) for path in tmp_path.rglob("results.csv")]

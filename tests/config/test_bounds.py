@@ -56,7 +56,7 @@ BOUNDS = {
     **dict.fromkeys(("momentum", "stats_decay", "beta1"), DECAY),
     "tau": Bounds(0, 1, with_low=False),
     "n": Bounds(1, math.inf),
-    **dict.fromkeys(("alpha", "ent_coef", "imitation_weight"), NOT_NEGATIVE),
+    **dict.fromkeys(("alpha", "ent_coef", "vf_coef", "imitation_weight"), NOT_NEGATIVE),
     **dict.fromkeys(("loss_tolerance", "negative_slope"), NOT_NEGATIVE),
     **dict.fromkeys(("target_interval", "learning_starts", "standardize_steps"), NOT_NEGATIVE),
     **dict.fromkeys(("minimum_return", "minimum_final_reward", "solved_return"), ANY),

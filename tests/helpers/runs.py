@@ -26,7 +26,6 @@ QUICK_RUN = (
     "evaluation.episodes=3",
     "evaluation.selection_episodes=2",
     "evaluation.every=2",
-    "processes=1",  # others take seconds to start
 )
 #: … and the values of a method's keys, by the end of the key, or by method and key where a test
 #: needs another; a method that is not named here has these values too.

@@ -1,7 +1,11 @@
+"""Ours beside Stable-Baselines3's `learn`, which is given our actions and our minibatches."""
+
 from __future__ import annotations
 
-import random
+import shutil
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -12,14 +16,22 @@ from helpers.states import assert_equal_states, copied
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
-from torch import Tensor
+from torch import Tensor, nn
 
-from ril.environments import Environment
-from ril.learners.ppo import PPOAgent, PPOConfig, actor_topology
-from ril.vectorized.networks import Network
+from ril.config.schema import AblationConfig, Config
+from ril.demonstrations.trajectories import StateTransitions
+from ril.environments import Environment, load_environment
+from ril.io.errors import UserError
+from ril.learners.ppo import PPOConfig, PPOLearner, Rollout, orthogonal
+from ril.task import Task
+from ril.vectorized.networks import MLP, ActorCritic
 from ril.vectorized.stepping import SteppedEnvironments
 
-SEED = 7
+CPU = torch.device("cpu")
+SEEDS = (3, 7)
+needs_compiler = pytest.mark.skipif(
+    not any(shutil.which(name) for name in ("g++", "clang++", "c++")), reason="no C++ compiler"
+)
 
 
 def config(**changes: object) -> PPOConfig:
@@ -34,25 +46,31 @@ def config(**changes: object) -> PPOConfig:
         "gae_lambda": 0.9,
         "clip_range": 0.15,
         "ent_coef": 0.01,
+        "vf_coef": 0.5,
+        "max_grad_norm": 0.5,
     }
     return PPOConfig(**(values | changes))
 
 
-def rounds(agent: PPOAgent, count: int) -> None:
-    for _ in range(count):
-        agent.collect()
-        agent.improve()
-
-
-def parameters(model: PPO) -> Tensor:
-    return torch.cat([p.detach().flatten() for p in model.policy.parameters()])
+def learner(
+    environment: Environment,
+    settings: PPOConfig,
+    seeds: tuple[int, ...] = SEEDS,
+    total: int = 10_000,
+    *,
+    compiled: bool = False,
+    **options: bool,
+) -> PPOLearner:
+    nothing = StateTransitions.none(environment)
+    task = Task(environment, nothing, seeds, AblationConfig(), CPU, compiled)
+    return PPOLearner(settings, task, total, **options)
 
 
 class Plain(VecEnv):
-    """The agent's episodes as Stable-Baselines3 has them from its own environments."""
+    """The episodes of one seed, as Stable-Baselines3 has them from its own environments."""
 
-    def __init__(self, environment: Environment, copies: int) -> None:
-        self.stepped = SteppedEnvironments(environment, [SEED], copies, "ppo")
+    def __init__(self, environment: Environment, seed: int, copies: int) -> None:
+        self.stepped = SteppedEnvironments(environment, [seed], copies, "ppo")
         space = gym.spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
         super().__init__(copies, space, gym.spaces.Discrete(environment.action_count))
 
@@ -86,263 +104,423 @@ class Plain(VecEnv):
         return [False] * self.num_envs
 
 
-class Rollouts(BaseCallback):
-    """Keeps what each rollout holds before PPO learns from it, and the parameters it began with."""
+def linears(model: PPO) -> list[nn.Linear]:
+    """The layers of actor and critic, in the order of ours."""
+    policy = model.policy
+    modules = (
+        *policy.mlp_extractor.policy_net,
+        policy.action_net,
+        *policy.mlp_extractor.value_net,
+        policy.value_net,
+    )
+    return [module for module in modules if isinstance(module, nn.Linear)]
 
-    FIELDS = ("observations", "actions", "rewards", "values", "advantages", "returns")
+
+def parameters(model: PPO) -> Tensor:
+    """(P,) as a row of ours."""
+    layers = [(m.weight.T, m.bias) for m in linears(model)]
+    return torch.cat([p.detach().reshape(-1) for layer in layers for p in layer])
+
+
+def fill(model: PPO, flat: Tensor) -> None:
+    """Give a model the parameters (P,) of one of our seeds."""
+    for layer in linears(model):
+        for parameter in (layer.weight.T, layer.bias):
+            values, flat = flat[: parameter.numel()], flat[parameter.numel() :]
+            parameter.data.copy_(values.view(parameter.shape))
+    assert not len(flat)
+
+
+FIELDS = ("observations", "actions", "rewards", "values", "log_probs", "advantages", "returns")
+MEASURED = {"entropy": "entropy_loss", "value_loss": "value_loss", "approximate_kl": "approx_kl"}
+
+
+class Recorder(BaseCallback):
+    """Keeps what each rollout and its updates gave."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.seen: list[dict[str, np.ndarray]] = []
+        self.rollouts: list[dict[str, np.ndarray]] = []
+        self.parameters: list[Tensor] = []
+        self.measured: list[dict[str, float]] = []
 
     def _on_step(self) -> bool:
         return True
 
+    def _on_rollout_start(self) -> None:
+        self.updated()
+
     def _on_rollout_end(self) -> None:
         buffer = self.model.rollout_buffer
-        self.seen.append({name: getattr(buffer, name).copy() for name in self.FIELDS})
+        self.rollouts.append({name: getattr(buffer, name).copy() for name in FIELDS})
+
+    def _on_training_end(self) -> None:
+        self.updated()
+
+    def updated(self) -> None:
+        if self.rollouts:
+            self.parameters.append(parameters(self.model))
+            logged = self.model.logger.name_to_value
+            self.measured.append({name: logged[f"train/{n}"] for name, n in MEASURED.items()})
 
 
-def trained_by_sb3(
-    settings: PPOConfig, environment: Environment, count: int, *, zoo: bool
-) -> tuple[PPO, list[dict[str, np.ndarray]]]:
-    """Train by Stable-Baselines3's own `learn`; return the model and its rollouts.
+@dataclass
+class Followed:
+    """Rollouts of ours, and of one seed trained by Stable-Baselines3 from the same draws."""
 
-    `zoo` adds what RL Baselines3 Zoo does for `normalize: true` and `lin_…`.
-    """
-    environments: VecEnv = Plain(environment, settings.n_envs)
-    rate: Any = settings.learning_rate
-    clip: Any = settings.clip_range
-    if zoo:
-        environments = VecNormalize(environments, gamma=settings.gamma, clip_obs=np.inf)
-        rate, clip = (lambda left: left * settings.learning_rate), (lambda left: left * 0.15)
+    learner: PPOLearner
+    model: PPO
+    rollouts: list[Rollout]
+    samples: list[Tensor]
+    parameters: list[Tensor]
+    measured: list[dict[str, np.ndarray]]
+    theirs: Recorder
+
+    def by_step(self, array: Any, seed: int = 1) -> np.ndarray:
+        """The seed's part of (T, S·K, …)."""
+        return np.split(array, len(SEEDS), axis=1)[seed]
+
+
+def follow(
+    environment: Environment,
+    settings: PPOConfig,
+    rollouts: int,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    normalize: bool,
+    schedule: bool,
+) -> Followed:
+    """Train two seeds by ours; then the second one by Stable-Baselines3 from the same draws."""
+    steps = settings.n_envs * settings.n_steps
+    options = {"normalize": normalize, "linear_schedule": schedule}
+    ours = learner(environment, settings, SEEDS, rollouts * steps, **options)
+    initial, played, samples, after, measured = ours.networks.flat[1].clone(), [], [], [], []
+    permutations: deque[np.ndarray] = deque()
+    actions: deque[np.ndarray] = deque()
+    draw = ours._shuffling.permutations
+
+    def drawn(count: int, size: int) -> np.ndarray:
+        found = draw(count, size)
+        step, copy = np.divmod(found[1], settings.n_envs)
+        # In Stable-Baselines3's buffer, a copy's steps lie side by side.
+        permutations.extend(copy * settings.n_steps + step)
+        return found
+
+    monkeypatch.setattr(ours._shuffling, "permutations", drawn)
+    for _ in range(rollouts):
+        ours.collect()
+        assert ours._rollout is not None
+        played.append(ours._rollout)
+        actions.extend(np.split(ours._rollout.actions, len(SEEDS), axis=1)[1])
+        samples.append(ours._samples(ours._rollout).unflatten(0, (len(SEEDS), -1))[1])
+        measured.append(ours.improve())
+        after.append(ours.networks.flat[1].clone())
+
+    environments: VecEnv = Plain(environment, SEEDS[1], settings.n_envs)
+    if normalize:
+        environments = VecNormalize(environments, gamma=settings.gamma)
+    given = vars(settings).copy()
+    hidden = given.pop("hidden")
+    del given["n_envs"]
+    if schedule:
+        for name in ("learning_rate", "clip_range"):
+            given[name] = lambda remaining, value=given[name]: remaining * value
     model = PPO(
-        "MlpPolicy",
-        environments,
-        policy_kwargs={"net_arch": list(settings.hidden)},
-        seed=SEED,
-        device="cpu",
-        n_steps=settings.n_steps,
-        batch_size=settings.batch_size,
-        n_epochs=settings.n_epochs,
-        learning_rate=rate,
-        gamma=settings.gamma,
-        gae_lambda=settings.gae_lambda,
-        clip_range=clip,
-        ent_coef=settings.ent_coef,
+        "MlpPolicy", environments, policy_kwargs={"net_arch": list(hidden)}, device="cpu", **given
     )
-    rollouts = Rollouts()
-    model.learn(count * settings.n_steps * settings.n_envs, callback=rollouts)
-    return model, rollouts.seen
+    fill(model, initial)
+    evaluate = model.policy.evaluate_actions
+
+    def act(observations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        chosen = torch.from_numpy(actions.popleft())
+        values, log_prob, _ = evaluate(observations, chosen)
+        return chosen, values, log_prob
+
+    monkeypatch.setattr(model.policy, "forward", act)
+    recorder = Recorder()
+    with monkeypatch.context() as patched:
+        patched.setattr(np.random, "permutation", lambda _: permutations.popleft())
+        model.learn(rollouts * steps, recorder)
+    assert not actions
+    assert not permutations
+    return Followed(ours, model, played, samples, after, measured, recorder)
 
 
-# MountainCar's episodes are truncated after 200 steps: in a rollout's middle, and at its end.
-TASKS = [("cartpole", 80), ("mountaincar", 160), ("mountaincar", 100)]
-
-
-@pytest.mark.parametrize("zoo", [False, True], ids=["plain", "zoo"])
-@pytest.mark.parametrize(("name", "n_steps"), TASKS)
-def test_with_the_environments_rewards_it_is_what_sb3_learns(
-    environments: dict[str, Environment], name: str, n_steps: int, zoo: bool
-) -> None:
-    settings = config(n_steps=n_steps, batch_size=20)
-    model, expected = trained_by_sb3(settings, environments[name], 3, zoo=zoo)
-    schedule_steps = 3 * n_steps * 2 if zoo else None
-    agent = PPOAgent(
-        settings, environments[name], SEED, normalize=zoo, schedule_steps=schedule_steps
-    )
-    for reference in expected:
-        observations, actions = agent.collect()
-        np.testing.assert_array_equal(
-            observations, reference["observations"].reshape(-1, observations.shape[1])
-        )
-        np.testing.assert_array_equal(actions, reference["actions"].ravel())
-        agent.improve()
-        buffer = agent.model.rollout_buffer
-        np.testing.assert_array_equal(buffer.rewards, reference["rewards"])
-        for field in ("values", "advantages", "returns"):
-            by_copy = reference[field].swapaxes(0, 1).ravel()  # as PPO's update leaves them
-            np.testing.assert_array_equal(getattr(buffer, field).ravel(), by_copy, err_msg=field)
-    assert torch.equal(parameters(agent.model), parameters(model))
-
-
-def test_a_rate_that_has_fallen_to_0_stays_there(cartpole: Environment) -> None:
-    agent = PPOAgent(config(), cartpole, SEED, schedule_steps=100)  # of rollouts of 64
-    rounds(agent, 1)
-    trained = parameters(agent.model)
-    rounds(agent, 2)
-    assert torch.equal(parameters(agent.model), trained)
-    assert not torch.equal(parameters(PPOAgent(config(), cartpole, SEED).model), trained)
-
-
-def test_only_a_truncated_episode_is_worth_more_than_its_rewards(mountaincar: Environment) -> None:
-    agent = PPOAgent(config(n_steps=220, batch_size=20), mountaincar, SEED)
-    agent.collect()
-    agent.improve(np.zeros(440, dtype=np.float32))
-    steps, copies = np.nonzero(agent.model.rollout_buffer.rewards)
-    assert list(zip(steps.tolist(), copies.tolist(), strict=True)) == [(199, 0), (199, 1)]
-
-
-def test_a_failure_is_worth_its_reward_alone(cartpole: Environment) -> None:
-    agent = PPOAgent(config(), cartpole, SEED)
-    agent.collect()
-    assert agent.model.rollout_buffer.episode_starts[1:].any()
-    agent.improve(np.zeros(64, dtype=np.float32))
-    assert not agent.model.rollout_buffer.rewards.any()
-
-
-def test_the_environments_own_rewards_are_not_used(cartpole: Environment) -> None:
-    one, other = (PPOAgent(config(), cartpole, SEED) for _ in range(2))
-    given = np.random.default_rng(0).normal(size=64).astype(np.float32)
-    one.collect()
-    other.collect()
-    other.model.rollout_buffer.rewards[:] = 1000.0
-    one.improve(given)
-    other.improve(given)
-    assert torch.equal(parameters(one.model), parameters(other.model))
-
-
-def test_rewards_belong_to_the_pairs_of_their_place(cartpole: Environment) -> None:
-    agent = PPOAgent(config(), cartpole, SEED)
-    observations, actions = agent.collect()
-    observations, actions = observations.copy(), actions.copy()
-    agent.improve(np.arange(64, dtype=np.float32))
-    buffer = agent.model.rollout_buffer
-    # PPO's update leaves a copy's steps side by side.
-    order = buffer.rewards.T.ravel().astype(int)
-    np.testing.assert_array_equal(buffer.observations, observations[order])
-    np.testing.assert_array_equal(buffer.actions.ravel(), actions[order])
-
-
-def test_what_is_collected_begins_where_the_last_rollout_ended(cartpole: Environment) -> None:
-    agent = PPOAgent(config(), cartpole, SEED)
-    stepped = SteppedEnvironments(cartpole, [SEED], 2, "ppo")
-    for _ in range(3):
-        observations, actions = agent.collect()
-        for before, chosen in zip(
-            observations.reshape(32, 2, -1), actions.reshape(32, 2), strict=True
-        ):
-            np.testing.assert_array_equal(before, stepped.observations)
-            stepped.step(chosen)
-        agent.improve()
-
-
-def test_the_actor_answers_as_sb3s_policy(cartpole: Environment) -> None:
-    settings = config()
-    agent = PPOAgent(settings, cartpole, SEED)
-    rounds(agent, 1)  # biases begin as zeros
-    x = torch.randn(50, 4, generator=torch.Generator().manual_seed(0))
-    with torch.no_grad():
-        distribution = agent.model.policy.get_distribution(x).distribution
-        found = Network(actor_topology(settings, cartpole), agent.actor()[None])(x[None])[0]
-    # SB3 keeps logits less the log of their sum.
-    torch.testing.assert_close(found.log_softmax(dim=-1), distribution.logits)
-
-
-@pytest.mark.parametrize("normalize", [False, True])
-@pytest.mark.parametrize("hidden", [[16, 12], []])
-def test_the_actors_greedy_actions_are_sb3s(
-    environments: dict[str, Environment], hidden: list[int], normalize: bool
-) -> None:
-    environment = environments["acrobot"]  # observations of unequal spread, three actions
-    settings = config(hidden=hidden, learning_rate=0.02)
-    agent = PPOAgent(settings, environment, SEED, normalize=normalize)
-    rounds(agent, 4)
-    x = np.random.default_rng(0).normal(size=(500, 6)).astype(np.float32)
-    normalizer = agent.model.get_vec_normalize_env()
-    assert (normalizer is not None) is normalize
-    seen = normalizer.normalize_obs(x) if normalizer is not None else x
-    expected, _ = agent.model.predict(seen, deterministic=True)
-    network = Network(actor_topology(settings, environment), agent.actor()[None])
-    np.testing.assert_array_equal(network.greedy(x), expected)
-    assert len(set(expected.tolist())) == 3
-
-
-def outside() -> tuple[Any, ...]:
-    """Numbers that the global generators would give next."""
-    torch_state, numpy_state, python_state = (
-        torch.get_rng_state(),
-        np.random.get_state(),  # noqa: NPY002 - what SB3 draws from
-        random.getstate(),
-    )
-    drawn = (torch.rand(3).tolist(), np.random.rand(3).tolist(), random.random())  # noqa: NPY002
-    torch.set_rng_state(torch_state)
-    np.random.set_state(numpy_state)  # noqa: NPY002
-    random.setstate(python_state)
-    return drawn
-
-
-WORK: dict[str, Callable[[PPOAgent], Any]] = {
-    "collect": lambda agent: agent.collect(),
-    "improve": lambda agent: agent.improve(),
-    "save": lambda agent: agent.state_dict(),
-    "load": lambda agent: agent.load_state_dict(copied(agent.state_dict())),
+#: Rollouts of each setting, and their steps where a test needs fewer than `conf/` has. Episodes
+#: are truncated in those of Acrobot and MountainCar.
+SETTINGS: dict[tuple[str, ...], tuple[int, dict[str, int]]] = {
+    ("env=cartpole", "method=ppo"): (4, {}),
+    ("env=acrobot", "method=ppo"): (3, {"n_envs": 4}),
+    ("env=mountaincar", "method=ppo"): (14, {}),
+    ("env=lunarlander", "method=ppo"): (2, {"n_steps": 128}),
+    ("env=gym", "env.id=MountainCar-v0", "method=ppo"): (1, {}),
+    ("env=mountaincar", "method=gail"): (2, {}),
+    ("env=lunarlander", "method=gail"): (2, {"n_steps": 128}),
 }
 
 
-@pytest.mark.parametrize("work", WORK)
-def test_work_leaves_the_global_random_numbers_alone(cartpole: Environment, work: str) -> None:
-    agent = PPOAgent(config(), cartpole, SEED)
-    agent.collect()
-    before = outside()
-    WORK[work](agent)
-    assert outside() == before
+@pytest.fixture(scope="module", params=SETTINGS, ids=" ".join)
+def followed(request: pytest.FixtureRequest, compose: Callable[..., Config]) -> Any:
+    found = compose(*request.param)
+    rollouts, changes = SETTINGS[request.param]
+    method: Any = found.method
+    given = vars(method.ppo).copy()
+    options = {
+        "normalize": given.pop("normalize", False),
+        "schedule": given.pop("linear_schedule", False),
+    }
+    with pytest.MonkeyPatch.context() as patched:
+        settings = PPOConfig(**(given | changes))
+        yield follow(load_environment(found.env), settings, rollouts, patched, **options)
 
 
-def test_a_new_agent_leaves_the_global_random_numbers_alone(cartpole: Environment) -> None:
-    random.seed(1)  # and not with the agent's seed, as an agent before this one would have left it
-    before = outside()
-    PPOAgent(config(), cartpole, SEED)
-    assert outside() == before
+def test_rollouts_are_what_sb3_collects(followed: Followed) -> None:
+    for ours, theirs in zip(followed.rollouts, followed.theirs.rollouts, strict=True):
+        seen = followed.by_step(ours.observations)
+        np.testing.assert_allclose(seen, theirs["observations"], rtol=1e-4, atol=1e-4)
+        rewards = followed.by_step(ours.rewards)
+        truncated = followed.by_step(ours.truncated)
+        np.testing.assert_allclose(rewards[~truncated], theirs["rewards"][~truncated], rtol=1e-5)
 
 
-def test_global_random_numbers_do_not_reach_an_agent(cartpole: Environment) -> None:
-    agents = []
-    for seed in (1, 2):
-        numbers = np.random.default_rng(seed)
-        agent = None
-        for _ in range(3):
-            torch.manual_seed(int(numbers.integers(1000)))
-            np.random.seed(int(numbers.integers(1000)))  # noqa: NPY002
-            random.seed(int(numbers.integers(1000)))
-            agent = agent or PPOAgent(config(), cartpole, SEED)
-            rounds(agent, 1)
-        assert agent is not None
-        agents.append(agent)
-    assert_equal_states(agents[1].state_dict(), agents[0].state_dict())
+def test_advantages_and_returns_are_those_of_sb3s_buffer(followed: Followed) -> None:
+    size, copies = followed.learner._size, followed.learner.config.n_envs
+    for ours, theirs in zip(followed.samples, followed.theirs.rollouts, strict=True):
+        log_prob, advantage, returns = ours[:, -3:].unflatten(0, (-1, copies)).numpy().T
+        for found, name in ((log_prob, "log_probs"), (advantage, "advantages")):
+            np.testing.assert_allclose(found.T, theirs[name], rtol=1e-3, atol=1e-3, err_msg=name)
+        np.testing.assert_allclose(returns.T, theirs["returns"], rtol=1e-3, atol=1e-3)
+        taken = ours[:, size:-3].argmax(dim=1).unflatten(0, (-1, copies))
+        np.testing.assert_array_equal(taken, theirs["actions"][..., 0])
 
 
-def test_agents_side_by_side_do_not_reach_each_other(cartpole: Environment) -> None:
-    alone = []
-    for seed in (SEED, 8):
-        agent = PPOAgent(config(), cartpole, seed)
-        rounds(agent, 3)
-        alone.append(agent.state_dict())
-    together = [PPOAgent(config(), cartpole, seed) for seed in (SEED, 8)]
+def test_updates_are_sb3s_train(followed: Followed) -> None:
+    for ours, theirs in zip(followed.parameters, followed.theirs.parameters, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
+def test_diagnostics_are_what_sb3_logs(followed: Followed) -> None:
+    for ours, theirs in zip(followed.measured, followed.theirs.measured, strict=True):
+        signed = {**theirs, "entropy": -theirs["entropy"]}
+        for name, values in ours.items():
+            assert values[1] == pytest.approx(signed[name], rel=1e-3, abs=1e-5), name
+
+
+def test_moments_are_sb3s(followed: Followed) -> None:
+    theirs, ours = followed.model.get_vec_normalize_env(), followed.learner._normalization
+    assert (theirs is None) == (ours is None)
+    if theirs is None or ours is None:
+        return
+    for found, expected in ((ours.seen, theirs.obs_rms), (ours.earned, theirs.ret_rms)):
+        np.testing.assert_allclose(found.mean[1], expected.mean, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(found.variance[1], expected.var, rtol=1e-5)
+        assert found.count == expected.count
+    np.testing.assert_allclose(ours._returns[1], theirs.returns, rtol=1e-5)
+
+
+def test_the_policy_acts_as_sb3s(followed: Followed) -> None:
+    """For observations that are not normalized, far ones too."""
+    size = followed.learner._size
+    x = np.random.default_rng(0).normal(scale=3, size=(2, 200, size)).astype(np.float32)
+    normalizer = followed.model.get_vec_normalize_env()
+    seen = x[1] if normalizer is None else normalizer.normalize_obs(x[1])
+    with torch.no_grad():
+        given = torch.from_numpy(seen)
+        expected = followed.model.policy.get_distribution(given).distribution.logits
+    found = followed.learner.policy.infer(x.reshape(-1, size))[1].log_softmax(dim=-1)
+    torch.testing.assert_close(found, expected, rtol=1e-2, atol=1e-2)
+
+
+def rounds(trained: PPOLearner, count: int) -> PPOLearner:
+    for _ in range(count):
+        trained.collect()
+        trained.improve()
+    return trained
+
+
+def test_weights_are_orthogonal_and_biases_are_0() -> None:
+    network = orthogonal(ActorCritic(mlp((32, 16), 3), mlp((32, 16), 1)), SEEDS, "ppo", CPU)
+    for name, parameter in network.parameters.items():
+        for one in parameter.detach():
+            if name.endswith("bias"):
+                assert not one.any()
+                continue
+            few = one if one.shape[0] <= one.shape[1] else one.T
+            gain = {"output.actor.weight": 0.01, "output.critic.weight": 1.0}.get(name, 2**0.5)
+            torch.testing.assert_close(few @ few.T, gain**2 * torch.eye(len(few)), msg=name)
+
+
+def mlp(hidden: tuple[int, ...], outputs: int) -> MLP:
+    return MLP(6, hidden, outputs, attention=False, layer_norm=False, negative_slope=None)
+
+
+def test_weights_are_uniform_over_orthogonal_matrices() -> None:
+    """Their entries have the moments of torch's own initialization."""
+    architecture = ActorCritic(mlp((4,), 2), mlp((4,), 1))
+    ours = orthogonal(architecture, range(4000), "ppo", CPU).parameters["linear0.actor.weight"]
+    torch.manual_seed(0)
+    theirs = torch.stack([nn.init.orthogonal_(torch.empty(6, 4), 2**0.5) for _ in range(4000)])
+    for power in (1, 2, 4):
+        found, expected = (w.detach().pow(power).mean(dim=0) for w in (ours, theirs))
+        torch.testing.assert_close(found, expected, rtol=0.2, atol=0.05)
+
+
+def test_a_seeds_initial_networks_do_not_depend_on_other_seeds() -> None:
+    architecture = ActorCritic(mlp((64, 64), 3), mlp((64, 64), 1))
+    among = orthogonal(architecture, (3, 5, 9), "ppo", CPU).flat
+    assert torch.equal(orthogonal(architecture, (5,), "ppo", CPU).flat[0], among[1])
+    assert not torch.equal(among[0], among[1])
+
+
+def test_a_rate_that_has_fallen_to_0_stays_there(cartpole: Environment) -> None:
+    trained = rounds(learner(cartpole, config(), total=100, linear_schedule=True), 1)
+    before = trained.networks.flat.clone()
+    assert trained.rollouts == 2  # of 64 steps
+    rounds(trained, 2)
+    assert torch.equal(trained.networks.flat, before)
+    assert not torch.equal(before, learner(cartpole, config()).networks.flat)
+
+
+def test_only_a_truncated_episode_is_worth_more_than_its_rewards(mountaincar: Environment) -> None:
+    one = learner(mountaincar, config(n_steps=220, batch_size=20, gae_lambda=0.0, gamma=1.0))
+    one.collect()
+    assert one._rollout is not None
+    assert one._rollout.truncated.any(axis=1).tolist() == [step == 199 for step in range(220)]
+    rollout = one._rollout._replace(rewards=np.zeros_like(one._rollout.rewards))
+    size = one._size
+    by_step = one._samples(rollout).unflatten(0, (len(SEEDS), 220, 2)).transpose(0, 1)
+    states, returns = by_step[..., :size], by_step[..., -1]
+    with torch.no_grad():
+        following = torch.from_numpy(rollout.next_observations).unflatten(1, (len(SEEDS), 2))
+        values = one._architecture.values(one.networks.parameters, following[199])
+    torch.testing.assert_close(returns[199], values)
+    torch.testing.assert_close(following[198], states[199])
+    assert (following[199] - states[200]).abs().max() > 0.01  # not the next episode's first state
+
+
+def test_a_failure_is_worth_its_reward_alone(cartpole: Environment) -> None:
+    one = learner(cartpole, config())
+    one.collect()
+    assert one._rollout is not None
+    ended = torch.from_numpy(one._rollout.terminated)
+    assert ended.any()
+    rollout = one._rollout._replace(rewards=np.full_like(one._rollout.rewards, 7))
+    returns = one._samples(rollout).unflatten(0, (len(SEEDS), 32, 2))[..., -1]
+    assert (returns.transpose(0, 1).flatten(1)[ended] - 7).abs().max() < 1e-5
+
+
+def test_rewards_belong_to_the_pairs_of_their_place(cartpole: Environment) -> None:
+    """Given rewards, which are the environments' own in another order, replace them."""
+    one, other = (learner(cartpole, config()) for _ in range(2))
+    observations, actions = one.collect()
+    assert (observations.shape, actions.shape) == ((2, 64, 4), (2, 64))
+    other.collect()
+    assert one._rollout is not None
+    assert other._rollout is not None
+    given = torch.randn(2, 64, generator=torch.Generator().manual_seed(0))
+    by_step = given.view(2, 32, 2).transpose(0, 1).flatten(1).numpy()
+    one._rollout.rewards[:] = by_step
+    other._rollout.rewards[:] = 1000.0
+    one.improve()
+    other.improve(given)
+    assert torch.equal(one.networks.flat, other.networks.flat)
+
+
+def test_what_is_collected_begins_where_the_last_rollout_ended(cartpole: Environment) -> None:
+    one = learner(cartpole, config())
+    stepped = SteppedEnvironments(cartpole, SEEDS, 2, "ppo")
     for _ in range(3):
-        for agent in together:
-            agent.collect()
-        for agent in reversed(together):
-            agent.improve()
-    for agent, expected in zip(together, alone, strict=True):
-        assert_equal_states(agent.state_dict(), expected)
+        observations, actions = one.collect()
+        for step in range(32):
+            now = slice(2 * step, 2 * step + 2)
+            np.testing.assert_array_equal(observations[:, now].flatten(0, 1), stepped.observations)
+            stepped.step(actions[:, now].flatten().numpy())
+        one.improve()
 
 
-def test_agents_of_other_seeds_differ(cartpole: Environment) -> None:
-    one, other = (PPOAgent(config(), cartpole, seed) for seed in (SEED, 8))
-    assert not torch.equal(one.actor(), other.actor())
-    assert (one.collect()[0] != other.collect()[0]).all(axis=1).any()
+def test_actions_follow_the_policy(cartpole: Environment) -> None:
+    one = learner(cartpole, config(n_steps=2000))
+    with torch.no_grad():
+        one.networks.parameters["output.actor.bias"][:, 0, 0] = 1.0  # 0.73 for action 0
+    _, actions = one.collect()
+    assert (actions == 0).double().mean(dim=1).numpy() == pytest.approx([0.731] * 2, abs=0.03)
 
 
-@pytest.mark.parametrize("zoo", [{}, {"normalize": True, "schedule_steps": 1000}])
+@pytest.mark.parametrize("options", [{}, {"normalize": True, "linear_schedule": True}], ids=str)
 @pytest.mark.parametrize("name", ["cartpole", "mountaincar"])
 def test_a_loaded_state_resumes_bit_identically(
-    environments: dict[str, Environment], name: str, zoo: dict[str, Any]
+    environments: dict[str, Environment], name: str, options: dict[str, bool]
 ) -> None:
-    settings = config(n_steps=120)
-    agent, resumed = (PPOAgent(settings, environments[name], SEED, **zoo) for _ in range(2))
-    rounds(agent, 2)
-    resumed.load_state_dict(copied(agent.state_dict()))
-    rounds(agent, 2)
-    rounds(resumed, 2)
-    assert_equal_states(resumed.state_dict(), agent.state_dict())
+    settings = config(n_steps=120)  # so that it stops in the middle of an episode
+    one, resumed = (learner(environments[name], settings, **options) for _ in range(2))
+    rounds(one, 2)
+    resumed.load_state_dict(copied(one.state_dict()))
+    assert torch.equal(resumed.policy.flat, one.policy.flat)
+    assert_equal_states(rounds(resumed, 2).state_dict(), rounds(one, 2).state_dict())
+
+
+#: Sizes as in conf/, since which kernel multiplies depends on them.
+LARGE = {"hidden": [64, 64], "n_envs": 8, "n_steps": 32}
+
+
+def trained(
+    environment: Environment, seeds: tuple[int, ...], size: int, *, compiled: bool
+) -> PPOLearner:
+    settings = config(**LARGE, batch_size=size, max_grad_norm=0.3)
+    one = learner(environment, settings, seeds, compiled=compiled, normalize=size == 64)
+    return rounds(one, 3)
+
+
+@pytest.fixture(scope="module", params=[64, 256])
+def among(request: pytest.FixtureRequest, environments: dict[str, Environment]) -> Any:
+    environment = environments["cartpole" if request.param == 256 else "acrobot"]
+    return environment, request.param, trained(environment, (3, 5, 9), request.param, compiled=True)
+
+
+@needs_compiler
+def test_compiled_training_is_the_eager_one_but_for_rounding(among: Any) -> None:
+    environment, size, found = among
+    expected = trained(environment, (3, 5, 9), size, compiled=False)
+    torch.testing.assert_close(found.networks.flat, expected.networks.flat, rtol=1e-3, atol=1e-4)
+    assert not torch.equal(found.networks.flat, expected.networks.flat)  # so it was compiled
+
+
+@needs_compiler
+def test_a_seeds_compiled_training_does_not_depend_on_other_seeds(among: Any) -> None:
+    environment, size, found = among
+    alone = trained(environment, (5,), size, compiled=True)
+    assert torch.equal(alone.networks.flat[0], found.networks.flat[1])
+    assert torch.equal(alone.policy.flat[0], found.policy.flat[1])
+
+
+def test_minibatches_are_permutations_of_each_seeds_samples(cartpole: Environment) -> None:
+    one = learner(cartpole, config())
+    minibatches = torch.stack(list(one._minibatches()))
+    assert minibatches.shape == (8, 2, 16)
+    epochs = minibatches.unflatten(0, (2, 4)).transpose(1, 2).flatten(2)  # (epoch, seed, sample)
+    for epoch in epochs:
+        for seed, rows in enumerate(epoch):
+            assert rows.sort().values.tolist() == list(range(64 * seed, 64 * seed + 64))
+    assert len({tuple((rows % 64).tolist()) for rows in epochs.flatten(0, 1)}) == 4
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"batch_size": 1}, "batch_size=1: must be above 1"),
+        ({"batch_size": 48}, "batch_size=48: must be above 1 and divide a rollout"),
+        ({"batch_size": 128}, "batch_size=128: must be above 1 and divide a rollout"),
+    ],
+)
+def test_minibatches_that_do_not_fit_a_rollout_are_refused(
+    cartpole: Environment, changes: dict[str, int], says: str
+) -> None:
+    with pytest.raises(UserError, match=rf"^method\.ppo\.{says}"):
+        learner(cartpole, config(**changes))
+
+
+def test_a_budget_below_one_rollout_is_refused(cartpole: Environment) -> None:
+    assert learner(cartpole, config(), total=64).rollouts == 1
+    assert learner(cartpole, config(), total=65).rollouts == 2
+    with pytest.raises(UserError, match=r"^method\.total_timesteps=63: must be at least .* = 64$"):
+        learner(cartpole, config(), total=63)

@@ -180,7 +180,7 @@ PHASES = {
 }
 STOPS = [(name, after, "cartpole") for name in EVERY for after in PHASES.get(name, (2,))]
 #: Where episodes are truncated: one method for each way in which they are played.
-STOPS += [(name, 2, "mountaincar") for name in ("acktr", "dqn", "gail", "ilpo", "ril")]
+STOPS += [(name, 2, "mountaincar") for name in ("acktr", "dqn", "gail", "ilpo", "ppo", "ril")]
 
 
 @pytest.mark.parametrize(

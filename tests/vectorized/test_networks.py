@@ -11,9 +11,11 @@ from torch import nn
 
 from ril.vectorized.networks import (
     MLP,
+    ActorCritic,
     Consistent,
     Dueling,
     Network,
+    Standardized,
     by_name,
     layer_norm,
     parameter_count,
@@ -368,3 +370,25 @@ def test_layer_norm_begins_with_scale_one_and_no_shift() -> None:
     parameters = initialized(0, 1).parameters
     assert (parameters["norm1.weight"] == 1).all()
     assert (parameters["norm1.bias"] == 0).all()
+
+
+def test_an_actor_and_its_critic_are_two_networks_in_one_buffer() -> None:
+    critic = dataclasses.replace(PLAIN, hidden=(5,), outputs=1)
+    both, x = random_network(ActorCritic(PLAIN, critic), S), inputs(PLAIN.inputs)
+    split = parameter_count(PLAIN)
+    actor, value = both.flat[:, :split].clone(), both.flat[:, split:].clone()
+    assert torch.equal(both(x), Network(PLAIN, actor)(x))
+    values = both.architecture.values(both.parameters, x)
+    assert torch.equal(values, Network(critic, value)(x).squeeze(-1))
+
+
+def test_inputs_are_standardized_and_clipped() -> None:
+    network = random_network(Standardized(PLAIN, clip=0.5), S)
+    network.parameters["standardize.deviation"].data.abs_()
+    x = inputs(PLAIN.inputs)
+    moments, inner = network.flat[:, : 2 * PLAIN.inputs], network.flat[:, 2 * PLAIN.inputs :]
+    mean, deviation = moments.unsqueeze(1).chunk(2, dim=-1)
+    standardized = (x - mean) / deviation
+    assert (standardized.abs() > 0.5).any()
+    expected = Network(PLAIN, inner.clone())(standardized.clip(-0.5, 0.5))
+    torch.testing.assert_close(network(x), expected)

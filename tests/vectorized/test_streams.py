@@ -12,6 +12,8 @@ from ril.vectorized.streams import Streams
 DRAWS = {
     "uniform": lambda streams: streams.uniform(4, 5),
     "integers": lambda streams: streams.integers(2**31, 4, 5),
+    "normal": lambda streams: streams.normal(4, 5),
+    "permutations": lambda streams: streams.permutations(4, 50),
 }
 
 
@@ -61,3 +63,14 @@ def test_uniform_numbers_fill_zero_to_one() -> None:
 
 def test_integers_are_all_those_below_the_limit() -> None:
     assert set(Streams([0], "resets").integers(4, 1000).ravel().tolist()) == {0, 1, 2, 3}
+
+
+def test_normal_numbers_have_mean_0_and_variance_1() -> None:
+    numbers = Streams([0], "ppo").normal(20_000)
+    assert (numbers.mean(), numbers.std()) == pytest.approx((0, 1), abs=0.03)
+
+
+def test_every_permutation_is_drawn_equally_often() -> None:
+    drawn = Streams([0], "minibatches").permutations(6000, 3)[0]
+    _, counts = np.unique(drawn, axis=0, return_counts=True)
+    np.testing.assert_allclose(counts, np.full(6, 1000), rtol=0.1)

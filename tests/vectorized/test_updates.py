@@ -49,6 +49,28 @@ def test_clipping_cuts_each_entry_by_itself() -> None:
     torch.testing.assert_close(optimizer.mean, 0.1 * gradient.clamp(-0.1, 0.1))
 
 
+def test_steps_are_those_of_torch_adam_after_clip_grad_norm() -> None:
+    """One seed's gradient is shorter than the limit, and stays as it is."""
+    network = random_network(ARCHITECTURE, S)
+    optimizer = ClippedAdam(network, 0.01, epsilon=1e-5, max_norm=0.5)
+    factors = torch.tensor([1.0, 1e-3, 5.0])
+    lengths = gradients_of(network, losses(network, 0) * factors).norm(dim=1)
+    assert (lengths > 0.5).tolist() == [True, False, True]
+    modules = copies_of(network)
+    references = [torch.optim.Adam(m.parameters(), lr=0.01, eps=1e-5) for m in modules]
+    for step in range(STEPS):
+        optimizer.step(losses(network, step) * factors)
+        for module, reference, x, factor in zip(
+            modules, references, inputs(step), factors, strict=True
+        ):
+            reference.zero_grad()
+            (factor * module(x).square().sum(dim=-1).mean()).backward()
+            torch.nn.utils.clip_grad_norm_(module.parameters(), 0.5)
+            reference.step()
+    expected = torch.stack([flat_of(module) for module in modules])
+    torch.testing.assert_close(network.flat, expected, rtol=1e-4, atol=1e-5)
+
+
 def test_a_seed_without_a_gradient_stays() -> None:
     network = random_network(ARCHITECTURE, S)
     before = network.flat.clone()
