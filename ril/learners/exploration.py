@@ -13,7 +13,7 @@ from torch import Tensor
 from ril.config.fields import one_of, within
 from ril.environments import Floats, Integers
 from ril.task import Task
-from ril.vectorized.networks import Network
+from ril.vectorized.networks import Network, greedy
 from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
@@ -121,9 +121,14 @@ class Explorer(Stateful):
         uniform = torch.from_numpy(drawn).to(self._device)  # (S, T, 2, episodes)
         probability = torch.from_numpy(epsilon).to(self._device)
 
+        infer = self.policy.frozen()
+        exploring = np.any(drawn[:, :, 0] < epsilon[:, None, None], axis=(0, 2)).tolist()
+
         def act(observations: Floats, step: int) -> Integers:
+            logits = infer(observations)
+            if not exploring[step]:
+                return greedy(logits)
             numbers = uniform[:, step].transpose(0, 1)
-            logits = self.policy.infer(observations)
             chosen = epsilon_greedy(logits, probability, numbers, self.kind)
             return chosen.flatten().cpu().numpy()
 

@@ -71,21 +71,27 @@ def choose_per_action(
     Returns:
         (S, capacity) true where a slot is chosen.
     """
-    slots = np.arange(memory.capacity)
-    empty = slots >= memory.sizes[:, None]
-    actions = np.where(empty, action_count, memory.actions.cpu().numpy())
-    counts = (actions[:, :, None] == np.arange(action_count + 1)).sum(axis=1)
-    quota = np.ceil(share[:, None] * counts).astype(np.int64)
-    quota[:, action_count] = 0
-    # Slots are sorted by action and, within an action, at random. A slot is chosen if its rank
-    # among its action's slots is within the quota.
-    order = np.argsort(actions + uniform.astype(np.float64), axis=1)
-    ordered = np.take_along_axis(actions, order, axis=1)
-    first = np.cumsum(counts, axis=1) - counts
-    rank = slots - np.take_along_axis(first, ordered, axis=1)
+    actions = memory.actions.cpu().numpy()
     chosen = np.zeros(actions.shape, dtype=bool)
-    np.put_along_axis(chosen, order, rank < np.take_along_axis(quota, ordered, axis=1), axis=1)
+    for seed, size in enumerate(memory.sizes.tolist()):
+        for action in range(action_count):
+            slots = np.flatnonzero(actions[seed, :size] == action)
+            quota = math.ceil(share[seed] * len(slots))
+            if quota:
+                chosen[seed, _lowest(slots, uniform[seed, slots], quota)] = True
     return chosen
+
+
+def _lowest(
+    slots: NDArray[np.int64], numbers: NDArray[np.float32], quota: int
+) -> NDArray[np.int64]:
+    """Return the `quota` ≥ 1 slots with the lowest numbers; of equal ones, the first."""
+    # Selection needs a tenth of a sort's time; NumPy's order of equal numbers depends on the
+    # processor.
+    highest = np.partition(numbers, quota - 1)[quota - 1]
+    below = slots[numbers < highest]
+    equal = slots[numbers == highest]
+    return np.concatenate((below, equal[: quota - len(below)]))
 
 
 def select(
@@ -123,7 +129,9 @@ def select(
         axis=1,
     )
     sizes = chosen.sum(axis=1)
-    packed = np.argsort(~chosen, axis=1, kind="stable")[:, : sizes.max()]
+    packed = np.zeros((len(sizes), sizes.max()), dtype=np.int64)
+    for row, of_seed, size in zip(packed, chosen, sizes, strict=True):
+        row[:size] = np.flatnonzero(of_seed)
     indices = torch.from_numpy(packed).to(pre.actions.device)
     both = zip(pre.everything(), pos.everything(), strict=True)
     return Selection(Batch(*(torch.cat(fields, dim=1) for fields in both)).at(indices), sizes)

@@ -120,11 +120,12 @@ class SelfSupervisedImitation(Stateful):
             return
         environments = Environments(self.task.environment, len(self.task.seeds) * _PRE_COPIES)
         steps, streams = self.task.environment.max_episode_steps, self._streams["pre"]
+        infer = self.policy.frozen()
         while (unfilled := self.pre.sizes < self.pre.capacity).any():
             uniform = torch.from_numpy(streams.uniform(steps, _PRE_COPIES)).to(self.task.device)
 
             def act(observations: Floats, step: int, uniform: Tensor = uniform) -> Integers:
-                sampled = sample_softmax(self.policy.infer(observations), uniform[:, step])
+                sampled = sample_softmax(infer(observations), uniform[:, step])
                 return sampled.flatten().cpu().numpy()
 
             episodes = environments.play(act, streams.integers(2**31, _PRE_COPIES).ravel())

@@ -134,20 +134,23 @@ class OnlineQLearning(Stateful):
         chance, choice = self._exploration.uniform(until - self.steps, 2).transpose(2, 1, 0)
         explores = chance < epsilon
         losses = [torch.full((len(epsilon[0]),), torch.nan)]
+        stored: list[int] = []  # slots of new transitions, not yet given their priority
         for exploring, number in zip(explores, choice, strict=True):
-            self._act(exploring, number)
+            stored.append(self._act(exploring, number))
             self.steps += 1
             due = self.steps % self.config.train_freq == 0
             if due and self.steps > self.config.learning_starts:
+                self._prioritize(stored)
                 losses.append(self.learner.train(self.config.updates, self._beta()).cpu())
+        self._prioritize(stored)
         return {
             "td_loss": torch.stack(losses, dim=1).nanmean(dim=1).double().numpy(),
             "training_return": self._last_returns.copy(),
             "epsilon": epsilon[-1],
         }
 
-    def _act(self, exploring: NDArray[np.bool_], number: NDArray[np.float32]) -> None:
-        """Step every seed's environment once, and store the transitions.
+    def _act(self, exploring: NDArray[np.bool_], number: NDArray[np.float32]) -> int:
+        """Step every seed's environment once, store the transitions, and return their slot.
 
         Args:
             exploring: (S,) whether to explore.
@@ -156,16 +159,22 @@ class OnlineQLearning(Stateful):
         before = self._environments.observations
         actions = self._choose(before, exploring, number)
         step = self._environments.step(actions)
-        slots = self.learner.replay.add(
+        slot = self.learner.replay.add(
             before, actions, step.rewards, step.next_observations, step.terminated
         )
-        if self.learner.priorities is not None:
-            self.learner.priorities.add(slots)
         self._returns += step.rewards
         over = step.terminated | step.truncated
         if over.any():
             self._last_returns[over] = self._returns[over]
             self._returns[over] = 0
+        return slot
+
+    def _prioritize(self, stored: list[int]) -> None:
+        """Give new transitions their priority, all at once, and clear the list of their slots."""
+        if self.learner.priorities is not None and stored:
+            slots = torch.tensor(stored, device=self.policy.flat.device)
+            self.learner.priorities.add(slots.expand(len(self._returns), -1))
+        stored.clear()
 
     def _choose(
         self, observations: Floats, exploring: NDArray[np.bool_], number: NDArray[np.float32]

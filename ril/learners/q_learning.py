@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
+import torch
 from omegaconf import MISSING
 from torch import Tensor
 
@@ -78,7 +77,8 @@ class QLearning(Stateful):
         self._streams = streams
         self._target = policy.copy() if config.target_interval else policy
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
-        self._descend = descent(self._optimizer, self._loss, compile_step=compile_step)
+        loss = self._loss if priorities is None else self._prioritized_loss
+        self._descend = descent(self._optimizer, loss, compile_step=compile_step)
 
     def train(self, updates: int, beta: float = 1.0) -> Tensor:
         """Take minibatch steps of the temporal-difference loss (Algorithm 1, line 13).
@@ -90,40 +90,38 @@ class QLearning(Stateful):
         Returns:
             (S,) mean loss over the steps, unweighted.
         """
-        config = self.config
+        config, sizes = self.config, self.replay.sizes
+        device = self.policy.flat.device
         uniform = self._streams.uniform(updates, config.batch_size)
         memory = self.replay.everything()
+        drawn, also = random_indices(uniform, sizes), list[Tensor]()
+        if self.priorities is not None:
+            drawn = torch.from_numpy(uniform)
+            exponent = torch.tensor([beta], dtype=torch.float64, device=device)
+            also = [torch.from_numpy(sizes).to(device), exponent]
 
-        def step(uniform: NDArray[np.float32]) -> Tensor:
+        def step(of_step: Tensor) -> Tensor:
             if config.target_interval and self._optimizer.steps % config.target_interval == 0:
                 self._target.flat.copy_(self.policy.flat)
-            slots = self._draw(uniform)
-            weights = None
+            _, losses, errors, slots = self._descend(self._target.flat, memory, of_step, *also)
             if self.priorities is not None:
-                weights = self.priorities.importance(slots, self.replay.sizes, beta)
-            _, losses, errors = self._descend(self._target.flat, memory, slots, weights)
-            if self.priorities is not None:
+                # Not in the graph: there, the rounding of powers would depend on S.
                 self.priorities.update(slots, errors)
             return losses.mean(dim=1)
 
-        return train_on_minibatches(step, uniform.swapaxes(0, 1))
+        by_step = drawn.to(device).transpose(0, 1).contiguous()
+        return train_on_minibatches(step, by_step.unbind())
 
     def _loss(
-        self,
-        parameters: Parameters,
-        target: Tensor,
-        memory: Batch,
-        slots: Tensor,
-        weights: Tensor | None,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Compute the weighted losses, the unweighted losses and the errors δ, (S, B) each.
+        self, parameters: Parameters, target: Tensor, memory: Batch, slots: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Compute the losses, twice, the errors δ and the slots, (S, B) each.
 
         Args:
             parameters: parameters of the policy, by name.
             target: (S, P) parameters of the target network.
             memory: (S, N, …) all stored transitions.
             slots: (S, B) the transitions to train on.
-            weights: (S, B) weights of the losses; None is 1.
         """
         architecture, config = self.policy.architecture, self.config
         errors = td_errors(
@@ -134,10 +132,33 @@ class QLearning(Stateful):
             double=self.double,
         )
         losses = td_losses(errors, config.loss)
-        return losses if weights is None else weights * losses, losses, errors
+        return losses, losses, errors, slots
 
-    def _draw(self, uniform: NDArray[np.float32]) -> Tensor:
-        """Turn random numbers (S, B) in [0, 1) into filled slots (S, B)."""
-        if self.priorities is not None:
-            return self.priorities.draw(uniform, self.replay.sizes)
-        return random_indices(uniform, self.replay.sizes).to(self.policy.flat.device)
+    def _prioritized_loss(
+        self,
+        parameters: Parameters,
+        target: Tensor,
+        memory: Batch,
+        uniform: Tensor,
+        sizes: Tensor,
+        beta: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Draw transitions by priority, and compute their losses by importance.
+
+        Args:
+            parameters: parameters of the policy, by name.
+            target: (S, P) parameters of the target network.
+            memory: (S, N, …) all stored transitions.
+            uniform: (S, B) random numbers in [0, 1).
+            sizes: (S,) filled slots.
+            beta: β, (1,).
+
+        Returns:
+            The weighted losses, the unweighted losses, the errors δ and the slots drawn, (S, B)
+            each.
+        """
+        assert self.priorities is not None
+        slots = self.priorities.draw(uniform, sizes)
+        weights = self.priorities.importance(slots, sizes, beta)
+        losses, _, errors, _ = self._loss(parameters, target, memory, slots)
+        return weights * losses, losses, errors, slots

@@ -18,7 +18,7 @@ from ril.io.errors import one_line
 #: Compiling takes up to half a minute and pays off after this many updates. The number does not
 #: depend on how many seeds are trained together: compiled and eager results differ in the last
 #: bits, and a seed's results must not depend on the other seeds.
-_WORTHWHILE = 30_000
+_WORTHWHILE = 15_000
 
 #: torch's options that make a graph's digits the same on every machine (`ril.kernels`).
 _EXACT: dict[str, Any] = {

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ril.environments import Environment, Floats, Integers
-from ril.vectorized.networks import Network
+from ril.vectorized.networks import Network, greedy
 from ril.vectorized.rollout import Environments
 from ril.vectorized.streams import Streams
 
@@ -42,9 +42,10 @@ class Evaluation:
             (S, episodes) undiscounted returns.
         """
         starts = Streams(self.seeds, f"evaluation {purpose}").integers(2**31, episodes)
+        infer = policy.frozen()
         rounds = [
             self._copies(part.shape[1])
-            .play(lambda observations, _: policy.greedy(observations), part.ravel())
+            .play(lambda observations, _: greedy(infer(observations)), part.ravel())
             .returns.reshape(part.shape)
             for part in np.split(starts, range(_COPIES, episodes, _COPIES), axis=1)
         ]

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from ril.vectorized.state import Stateful
 
 _EPSILON = 1e-6  # ε of their §3.3: a transition without error can still be drawn again
+_LEVELS = 3
 
 
 class Priorities(Stateful):
-    """Sampling weights (|δ| + ε)^α of each slot of each seed's memory.
+    """Sampling weights (|δ| + ε)^α of each slot of each seed's memory, in a sum tree.
 
-    The slots lie in √N blocks of √N slots, with a sum for each block, instead of in a binary
-    sum-tree. A draw searches the sums, then one block: a few array operations for all seeds and
-    draws at once, where a tree needs one after another for each of its levels.
+    The tree has three levels, and every node F = ∛N children, instead of two as in the paper's: a
+    level costs a few array operations for all seeds and draws at once, in eager mode and as part of
+    a compiled graph. A node is always summed from its children, so that no rounding accumulates.
 
     Args:
         seeds: S.
@@ -29,20 +27,23 @@ class Priorities(Stateful):
         device: device of the arrays.
     """
 
-    STATE: ClassVar = ("_blocks", "_sums", "_highest")
+    STATE: ClassVar = ("_levels", "_highest")
 
     def __init__(self, seeds: int, capacity: int, alpha: float, device: torch.device) -> None:
         self.alpha = alpha
-        block = math.ceil(math.sqrt(capacity))
-        self._blocks = torch.zeros(seeds, block, block, dtype=torch.float64, device=device)
-        self._sums = torch.zeros(seeds, block, dtype=torch.float64, device=device)
-        self._highest: Tensor = torch.ones(seeds, dtype=torch.float64, device=device)
+        self._children = next(f for f in range(1, capacity + 1) if f**_LEVELS >= capacity)
+        # From the top down, (S, F), (S, F²), (S, F³): the children of a node lie side by side.
+        self._levels = tuple(
+            torch.zeros(seeds, self._children ** (level + 1), dtype=torch.float64, device=device)
+            for level in range(_LEVELS)
+        )
+        self._highest = torch.ones(seeds, dtype=torch.float64, device=device)
         self._rows = torch.arange(seeds, device=device)[:, None]
 
     @property
     def weights(self) -> Tensor:
         """(S, ≥ N) weights: a slot is drawn in proportion to its weight; 0 for empty slots."""
-        return self._blocks.flatten(1)
+        return self._levels[-1]
 
     def add(self, slots: Tensor) -> None:
         """Give new transitions at slots (S, C) the highest priority of their seed so far."""
@@ -51,16 +52,23 @@ class Priorities(Stateful):
     def update(self, slots: Tensor, errors: Tensor) -> None:
         """Set the priorities of slots (S, B) from their newest errors δ (S, B)."""
         priorities = errors.abs().double() + _EPSILON
-        self._highest = torch.maximum(self._highest, priorities.amax(dim=1))
+        self._highest.copy_(torch.maximum(self._highest, priorities.amax(dim=1)))
         self._set(slots, priorities)
 
     def _set(self, slots: Tensor, priorities: Tensor) -> None:
-        """Write priorities (S, C) at slots (S, C), and update the sums of their blocks."""
+        """Write priorities (S, C) at slots (S, C), and update the sums above them."""
         self.weights[self._rows, slots] = priorities**self.alpha
-        touched = slots // self._sums.shape[1]
-        self._sums[self._rows, touched] = self._blocks[self._rows, touched].sum(dim=-1)
+        nodes = slots
+        for level in reversed(range(1, _LEVELS)):
+            nodes = nodes // self._children
+            self._levels[level - 1][self._rows, nodes] = self._below(level, nodes).sum(dim=-1)
 
-    def draw(self, uniform: NDArray[np.float32], sizes: NDArray[np.int64]) -> Tensor:
+    def _below(self, level: int, nodes: Tensor) -> Tensor:
+        """Return the children (S, C, F), on a level, of nodes (S, C) of the level above."""
+        groups = self._levels[level].view(len(self._rows), -1, self._children)
+        return groups[self._rows, nodes]
+
+    def draw(self, uniform: Tensor, sizes: Tensor) -> Tensor:
         """Draw slots in proportion to their weights, one from each of B equal shares of the sum.
 
         Args:
@@ -70,31 +78,33 @@ class Priorities(Stateful):
         Returns:
             (S, B) slots.
         """
-        count = uniform.shape[1]
-        up_to = self._sums.cumsum(dim=-1)
-        share = torch.arange(count, device=up_to.device) + torch.from_numpy(uniform).to(up_to)
-        sought = share / count * up_to[:, -1:]
-        last = torch.from_numpy(sizes - 1).to(up_to.device)[:, None]
-        block: Tensor = torch.searchsorted(up_to, sought, right=True)
-        block = block.minimum(last // self._sums.shape[1])
-        within = sought - (up_to - self._sums).gather(1, block)
-        below = self._blocks[self._rows, block].cumsum(dim=-1) <= within[..., None]
-        slots = block * self._sums.shape[1] + below.sum(dim=-1)
-        drawn: Tensor = slots.minimum(last)  # rounding may lead past the last filled slot
-        return drawn
+        count, last = uniform.shape[1], sizes[:, None] - 1
+        positions = torch.arange(self._children, device=uniform.device)
+        nodes = torch.zeros_like(last)  # the root
+        share = torch.arange(count, device=uniform.device) + uniform.double()
+        sought = share / count * self._levels[0].cumsum(dim=-1)[:, -1:]
+        for level in range(_LEVELS):
+            ends = self._below(level, nodes).cumsum(dim=-1)
+            child = (ends <= sought[..., None]).sum(dim=-1)
+            # Rounding may lead past the last filled slot.
+            last_node = last // self._children ** (_LEVELS - 1 - level)
+            child = torch.minimum(child, last_node - nodes * self._children)
+            before = torch.where(positions < child[..., None], ends, 0.0).amax(dim=-1)
+            sought = sought - before
+            nodes = nodes * self._children + child
+        return nodes
 
-    def importance(self, slots: Tensor, sizes: NDArray[np.int64], beta: float) -> Tensor:
+    def importance(self, slots: Tensor, sizes: Tensor, beta: Tensor) -> Tensor:
         """Compute importance-sampling weights (N·P)^−β, scaled so that each batch's largest is 1.
 
         Args:
             slots: (S, B) drawn slots.
             sizes: (S,) filled slots.
-            beta: β in [0, 1], how much of the bias of prioritized draws is corrected.
+            beta: β in [0, 1], how much of the bias of prioritized draws is corrected; (1,).
 
         Returns:
             (S, B).
         """
-        stored = torch.from_numpy(sizes).to(slots.device)[:, None]
-        chance = self.weights[self._rows, slots] / self._sums.sum(dim=-1, keepdim=True)
-        weights = (stored * chance) ** -beta
+        chance = self.weights[self._rows, slots] / self._levels[0].sum(dim=-1, keepdim=True)
+        weights = (sizes[:, None] * chance) ** -beta
         return (weights / weights.amax(dim=1, keepdim=True)).float()

@@ -108,7 +108,7 @@ class Replay(Stateful):
         rewards: Floats,
         next_observations: Floats,
         terminated: NDArray[np.bool_],
-    ) -> Tensor:
+    ) -> int:
         """Append one transition to each seed's memory; all must hold equally many.
 
         Args:
@@ -119,7 +119,7 @@ class Replay(Stateful):
             terminated: (S,) whether the environment ended the episode.
 
         Returns:
-            (S, 1) the slots that hold them.
+            The slot that holds them.
         """
         slot = int(self._positions[0])
         columns = (observations, actions, rewards, next_observations, terminated)
@@ -131,7 +131,7 @@ class Replay(Stateful):
                 array[:, slot] = torch.from_numpy(values)
         self._positions[:] = (slot + 1) % self.capacity
         self.sizes = np.minimum(self.sizes + 1, self.capacity)
-        return torch.full((len(self.sizes), 1), slot, device=self.rewards.device)
+        return slot
 
     def newest(self, uniform: NDArray[np.float32], count: int) -> Tensor:
         """Turn numbers (S, …) in [0, 1) into slots of each seed's `count` newest transitions."""

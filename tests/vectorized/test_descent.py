@@ -225,8 +225,8 @@ LONG, SHORT = 10_000_000, 1000
         (True, SHORT, True),
         ("auto", LONG, True),
         ("auto", SHORT, False),
-        ("auto", 30_000, True),
-        ("auto", 29_999, False),
+        ("auto", 15_000, True),
+        ("auto", 14_999, False),
         (False, LONG, False),
     ],
 )

@@ -5,6 +5,8 @@ from collections.abc import Callable
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
+from torch.nn.functional import one_hot
 
 from ril.environments import Environment, Floats
 from ril.vectorized.evaluation import Evaluation, random_returns
@@ -15,7 +17,10 @@ class Policy:
     """Acts by a function of scaled observations."""
 
     def __init__(self, greedy: Callable[[Floats], np.ndarray]) -> None:
-        self.greedy = greedy
+        self._greedy = greedy
+
+    def frozen(self) -> Callable[[Floats], torch.Tensor]:
+        return lambda observations: one_hot(torch.from_numpy(self._greedy(observations)))
 
 
 def towards_the_fall(observations: Floats) -> np.ndarray:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,6 +17,21 @@ from ril.vectorized.priorities import Priorities
 
 CPU = torch.device("cpu")
 BELOW_ONE = float(np.nextafter(np.float32(1), np.float32(0)))
+
+
+def draw_from(
+    priorities: Priorities, uniform: NDArray[np.float32], sizes: NDArray[np.int64]
+) -> torch.Tensor:
+    return priorities.draw(torch.from_numpy(uniform), torch.from_numpy(sizes))
+
+
+def importance_of(
+    priorities: Priorities, slots: torch.Tensor, sizes: NDArray[np.int64], beta: float
+) -> torch.Tensor:
+    return priorities.importance(
+        slots, torch.from_numpy(sizes), torch.tensor([beta], dtype=torch.float64)
+    )
+
 
 uniforms = st.floats(0, BELOW_ONE, width=32) | st.sampled_from([0.0, 0.5, BELOW_ONE])
 
@@ -75,7 +91,7 @@ def test_slots_are_those_of_a_plain_sampler(memory: tuple) -> None:
         plain_draw(np.array(row, dtype=float), of_seed)
         for row, of_seed in zip(errors, uniform, strict=True)
     ]
-    assert priorities.draw(uniform, sizes).tolist() == expected
+    assert draw_from(priorities, uniform, sizes).tolist() == expected
 
 
 @given(memories(), st.lists(st.floats(-20, 20), min_size=40, max_size=40))
@@ -85,7 +101,7 @@ def test_no_slot_lies_beyond_the_filled_ones(memory: tuple, exponents: list[floa
     priorities = filled(capacity, errors)
     sizes = np.array([len(row) for row in errors])
     for uniform in (np.array(numbers, dtype=np.float32), np.full((len(rows), 7), BELOW_ONE)):
-        drawn = priorities.draw(uniform.astype(np.float32), sizes).numpy()
+        drawn = draw_from(priorities, uniform.astype(np.float32), sizes).numpy()
         assert (drawn >= 0).all()
         assert (drawn < sizes[:, None]).all()
 
@@ -94,7 +110,7 @@ def test_no_slot_lies_beyond_the_filled_ones(memory: tuple, exponents: list[floa
 def test_the_last_number_draws_a_filled_slot(capacity: int) -> None:
     for size in {1, capacity // 2 + 1, capacity}:
         priorities = filled(capacity, [[3] * size], alpha=0.6)
-        drawn = priorities.draw(np.full((1, 4), BELOW_ONE, np.float32), np.array([size]))
+        drawn = draw_from(priorities, np.full((1, 4), BELOW_ONE, np.float32), np.array([size]))
         assert drawn.max() == size - 1
 
 
@@ -104,7 +120,7 @@ def test_a_filled_slot_is_drawn_though_priorities_vanish_or_are_no_numbers(
     error: float, number: float
 ) -> None:
     priorities = filled(12, [[error] * 7], alpha=100.0)  # to this power, 1e-6 is 0
-    drawn = priorities.draw(np.full((1, 5), number, np.float32), np.array([7]))
+    drawn = draw_from(priorities, np.full((1, 5), number, np.float32), np.array([7]))
     assert ((drawn >= 0) & (drawn < 7)).all()
 
 
@@ -115,7 +131,7 @@ def test_slots_are_drawn_as_often_as_their_priorities_say() -> None:
     draws, numbers = 6000, np.random.default_rng(1)
     # One number at a time: draws of one batch, each from a share of its own, are not independent.
     uniform = numbers.random((draws, 1, 1)).astype(np.float32)
-    drawn = [int(priorities.draw(each, np.array([23]))) for each in uniform]
+    drawn = [int(draw_from(priorities, each, np.array([23]))) for each in uniform]
     expected = draws * (errors + 1e-6) ** 0.6 / ((errors + 1e-6) ** 0.6).sum()
     statistic = ((np.bincount(drawn, minlength=23) - expected) ** 2 / expected).sum()
     assert statistic < 48.3  # of 22 degrees of freedom, 999 of 1000 lie below
@@ -125,7 +141,7 @@ def test_each_share_of_a_batch_is_drawn_from_once() -> None:
     with bare_errors():
         priorities = filled(16, [[2] * 16])
     for number in (0.0, 0.3, BELOW_ONE):
-        drawn = priorities.draw(np.full((1, 16), number, np.float32), np.array([16]))
+        drawn = draw_from(priorities, np.full((1, 16), number, np.float32), np.array([16]))
         assert drawn.tolist() == [list(range(16))]
 
 
@@ -136,7 +152,7 @@ def test_importance_undoes_the_bias_up_to_a_factor(beta: float) -> None:
     priorities = Priorities(2, 20, 0.6, CPU)
     priorities.update(torch.arange(12).expand(2, 12), torch.from_numpy(errors))
     slots = numbers.integers(12, size=(2, 9))
-    found = priorities.importance(torch.from_numpy(slots), np.array([12, 12]), beta)
+    found = importance_of(priorities, torch.from_numpy(slots), np.array([12, 12]), beta)
     for seed in (0, 1):
         weights = (errors[seed] + 1e-6) ** 0.6
         expected = (12 * weights[slots[seed]] / weights.sum()) ** -beta
@@ -146,21 +162,21 @@ def test_importance_undoes_the_bias_up_to_a_factor(beta: float) -> None:
 def test_the_largest_importance_of_each_seeds_batch_is_one() -> None:
     priorities = filled(9, [[1, 5, 9], [100, 2, 2]], alpha=0.6)
     slots = torch.tensor([[1, 2, 2], [0, 0, 0]])  # the least of neither is drawn
-    found = priorities.importance(slots, np.array([3, 3]), 0.7)
+    found = importance_of(priorities, slots, np.array([3, 3]), 0.7)
     assert found.amax(dim=1).tolist() == [1.0, 1.0]
     assert found.dtype == torch.float32
 
 
 def test_all_weights_are_one_without_alpha() -> None:
     priorities = filled(9, [[1, 500, 9]], alpha=0.0)
-    found = priorities.importance(torch.tensor([[0, 1, 2]]), np.array([3]), 1.0)
+    found = importance_of(priorities, torch.tensor([[0, 1, 2]]), np.array([3]), 1.0)
     assert found.tolist() == [[1.0, 1.0, 1.0]]
 
 
 def test_without_alpha_slots_are_equally_likely() -> None:
     priorities = filled(9, [[1, 500, 9, 70, 3, 2]], alpha=0.0)
     grid = ((np.arange(60) + 0.5) / 60).astype(np.float32)
-    drawn = [int(priorities.draw(np.full((1, 1), n), np.array([6]))) for n in grid]
+    drawn = [int(draw_from(priorities, np.full((1, 1), n), np.array([6]))) for n in grid]
     assert np.bincount(drawn).tolist() == [10] * 6
 
 
@@ -212,8 +228,10 @@ def test_sums_are_those_of_the_slots_after_any_updates(
         np.put_along_axis(model, slots, values, axis=1)
     np.testing.assert_allclose(priorities.weights[:, :capacity].numpy(), model, rtol=1e-12)
     assert not priorities.weights[:, capacity:].any()
-    blocks, sums = (priorities.state_dict()[name].numpy() for name in ("_blocks", "_sums"))
-    np.testing.assert_allclose(sums, blocks.sum(axis=-1), rtol=1e-12)
+    levels = [level.numpy() for level in priorities.state_dict()["_levels"]]
+    for above, below in pairwise(levels):
+        sums = below.reshape(*above.shape, -1).sum(axis=-1)
+        np.testing.assert_allclose(above, sums, rtol=1e-12)
 
 
 def worked(priorities: Priorities, rows: slice, rounds: int, start: int = 0) -> list[torch.Tensor]:
@@ -224,8 +242,8 @@ def worked(priorities: Priorities, rows: slice, rounds: int, start: int = 0) -> 
         uniform = generator.random((3, 32)).astype(np.float32)[rows]
         errors = generator.normal(size=(3, 32)).astype(np.float32)[rows]
         priorities.add(torch.full((len(uniform), 1), number))
-        slots = priorities.draw(uniform, np.full(len(uniform), number + 1))
-        weights = priorities.importance(slots, np.full(len(uniform), number + 1), 0.5)
+        slots = draw_from(priorities, uniform, np.full(len(uniform), number + 1))
+        weights = importance_of(priorities, slots, np.full(len(uniform), number + 1), 0.5)
         priorities.update(slots, torch.from_numpy(errors) * weights)
         drawn.append(slots)
     return drawn
@@ -235,11 +253,12 @@ def worked(priorities: Priorities, rows: slice, rounds: int, start: int = 0) -> 
 def test_a_seeds_draws_do_not_depend_on_other_seeds(capacity: int) -> None:
     among, alone = Priorities(3, capacity, 0.6, CPU), Priorities(1, capacity, 0.6, CPU)
     several, one = worked(among, slice(0, 3), 300), worked(alone, slice(1, 2), 300)
-    for found, expected in zip(several, one, strict=True):
+    for of_several, drawn in zip(several, one, strict=True):
+        assert torch.equal(of_several[1], drawn[0])
+    state, of_alone = among.state_dict(), alone.state_dict()
+    for found, expected in zip(state["_levels"], of_alone["_levels"], strict=True):
         assert torch.equal(found[1], expected[0])
-    state = among.state_dict()
-    for name, expected in alone.state_dict().items():
-        assert torch.equal(state[name][1], expected[0]), name
+    assert torch.equal(state["_highest"][1], of_alone["_highest"][0])
 
 
 def test_loaded_priorities_resume_bit_identically() -> None:
