@@ -35,7 +35,7 @@ from ril.vectorized.networks import (
 from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
-from ril.vectorized.updates import ClippedAdam
+from ril.vectorized.updates import ClippedAdam, square_root
 
 
 @dataclass
@@ -316,7 +316,7 @@ def _standardized(advantages: Tensor) -> Tensor:
     centered = advantages - advantages.mean(dim=1, keepdim=True)
     # Written out, because torch's compiler fails on `std` here.
     variance = centered.square().sum(dim=1, keepdim=True) / (advantages.shape[1] - 1)
-    return centered / (variance.sqrt() + 1e-8)
+    return centered / (square_root(variance) + 1e-8)
 
 
 def orthogonal(
@@ -342,11 +342,12 @@ def orthogonal(
             if name.endswith("bias"):
                 continue
             rows, columns = parameter.shape[1:]
-            q, r = np.linalg.qr(streams.normal(max(rows, columns), min(rows, columns)))
+            # torch's decomposition, not NumPy's, has the same digits on every machine.
+            normal = torch.from_numpy(streams.normal(max(rows, columns), min(rows, columns)))
+            q, r = torch.linalg.qr(normal)
             # With the signs of R's diagonal, Q is uniform over all orthogonal matrices.
-            q *= np.sign(np.diagonal(r, axis1=1, axis2=2))[:, None]
-            q = q if rows >= columns else q.swapaxes(1, 2)
-            parameter.copy_(gains.get(name, math.sqrt(2)) * torch.from_numpy(q))
+            q = q * r.diagonal(dim1=1, dim2=2).sign()[:, None]
+            parameter.copy_(gains.get(name, math.sqrt(2)) * (q if rows >= columns else q.mT))
     return Network(architecture, network.flat.to(device))
 
 
