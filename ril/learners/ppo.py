@@ -22,7 +22,7 @@ from ril.learners.exploration import sample_softmax
 from ril.learners.normalization import CLIP, Normalization
 from ril.learners.topology import tanh_mlp
 from ril.task import Task
-from ril.vectorized.compiling import worth_compiling
+from ril.vectorized.compiling import compile_graph, with_fallback, worth_compiling
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import (
     ActorCritic,
@@ -30,12 +30,17 @@ from ril.vectorized.networks import (
     Network,
     Parameters,
     Standardized,
+    by_name,
     parameter_count,
 )
 from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam, square_root
+
+#: A graph's batches have at least so many rows. With fewer, those of a single seed would not fill a
+#: vector register, and round differently from those of several seeds.
+_LEAST_ROWS = 16
 
 
 @dataclass
@@ -61,10 +66,12 @@ class Rollout(NamedTuple):
 
     observations: Floats  # (T, S·K, obs), normalized if observations are
     actions: NDArray[np.int64]  # (T, S·K)
+    log_probs: Floats  # (T, S·K) log-probabilities of the actions
+    values: Floats  # (T, S·K)
     rewards: Floats  # (T, S·K), normalized if rewards are
-    next_observations: Floats  # (T, S·K, obs); the final state where an episode is over
     terminated: NDArray[np.bool_]  # (T, S·K)
     truncated: NDArray[np.bool_]  # (T, S·K)
+    next_values: Floats  # (T, S·K); of the final state where an episode was truncated
 
 
 class PPOLearner(Stateful):
@@ -99,7 +106,6 @@ class PPOLearner(Stateful):
         "_sampling",
         "_shuffling",
     )
-    _CHUNK = 512  # samples of each seed that are evaluated at once, so that they fit the cache
 
     def __init__(
         self,
@@ -137,11 +143,12 @@ class PPOLearner(Stateful):
             self.networks, config.learning_rate, epsilon=1e-5, max_norm=config.max_grad_norm
         )
         minibatches = config.n_epochs * self.rollout_steps // config.batch_size
-        self._descend = descent(
-            self._optimizer,
-            self._loss,
-            compile_step=worth_compiling(task.compile, self.rollouts * minibatches),
-        )
+        compiled = worth_compiling(task.compile, self.rollouts * minibatches)
+        compiled = compiled and config.batch_size >= _LEAST_ROWS
+        self._descend = descent(self._optimizer, self._loss, compile_step=compiled)
+        self._act = self._decide
+        if compiled:
+            self._act = with_fallback(compile_graph(lambda *x: self._decide(*x)), self._decide)
         self._sampling = Streams(seeds, "actions")
         self._shuffling = Streams(seeds, "minibatches")
         self._rollout: Rollout | None = None
@@ -153,28 +160,74 @@ class PPOLearner(Stateful):
             (S, N, obs) observations as the agents see them, and (S, N) the actions in them.
         """
         uniform = torch.from_numpy(self._sampling.uniform(self.config.n_steps, self.config.n_envs))
+        by_step = uniform.to(self._device).transpose(0, 1).contiguous()
         observations = self._environments.observations
         if self._normalization is not None:
             observations = self._normalization.observations(observations)
         steps = []
-        for numbers in uniform.to(self._device).unbind(dim=1):
-            logits = self.networks.infer(observations)
-            actions = sample_softmax(logits, numbers).flatten().cpu().numpy()
+        final_values = {}  # of the steps in which the step limit truncated an episode
+        for t, numbers in enumerate(by_step.unbind()):
+            actions, log_probs, values = self._answers(observations, numbers)
             step = self._environments.step(actions)
             following, rewards = self._environments.observations, step.rewards
-            final = step.next_observations
-            over = step.terminated | step.truncated
             if self._normalization is not None:
                 self._normalization.update(following, rewards)
                 following = self._normalization.observations(following)
                 rewards = self._normalization.rewards(rewards)
-                final = self._normalization.observations(final) if over.any() else following
-                self._normalization.end(over)
-            steps.append((observations, actions, rewards, final, step.terminated, step.truncated))
+                self._normalization.end(step.terminated | step.truncated)
+            if step.truncated.any():
+                final = step.next_observations
+                if self._normalization is not None:
+                    final = self._normalization.observations(final)
+                final_values[t] = self._answers(final, numbers)[2]
+            ends = step.terminated, step.truncated
+            steps.append((observations, actions, log_probs, values, rewards, *ends))
             observations = following
-        self._rollout = Rollout(*map(np.stack, zip(*steps, strict=True)))
+        played = [np.stack(column) for column in zip(*steps, strict=True)]
+        values, truncated = played[3], played[6]
+        last = self._answers(observations, numbers)[2]
+        next_values = np.concatenate((values[1:], last[None]))
+        for t, of_final in final_values.items():
+            next_values[t] = np.where(truncated[t], of_final, next_values[t])
+        self._rollout = Rollout._make((*played, next_values))
         self.steps += self.rollout_steps
         return self._by_seed(self._rollout.observations), self._by_seed(self._rollout.actions)
+
+    def _answers(
+        self, observations: Floats, uniform: Tensor
+    ) -> tuple[NDArray[np.int64], Floats, Floats]:
+        """Return (S·K,) actions in observations (S·K, obs), their log-probabilities, and values."""
+        by_seed = torch.from_numpy(observations).to(self._device)
+        by_seed = by_seed.view(self._seeds, -1, self._size)
+        with torch.no_grad():
+            answers = self._act(self.networks.flat, by_seed, uniform)
+        actions, log_probs, values = (each.flatten().cpu().numpy() for each in answers)
+        return actions, log_probs, values
+
+    def _decide(
+        self, flat: Tensor, observations: Tensor, uniform: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Draw actions, and evaluate the states.
+
+        Args:
+            flat: (S, P) parameters of `networks`.
+            observations: (S, K, obs) as the agents see them.
+            uniform: (S, K) random numbers in [0, 1).
+
+        Returns:
+            (S, K) actions, their log-probabilities, and the states' values.
+        """
+        parameters = by_name(self._architecture, flat)
+        copies = observations.shape[1]
+        if torch.compiler.is_compiling():
+            padding = max(0, _LEAST_ROWS - copies)
+            observations = functional.pad(observations, (0, 0, 0, padding))
+            uniform = functional.pad(uniform, (0, padding))
+        log_probs = self._architecture.forward(parameters, observations).log_softmax(dim=-1)
+        actions = sample_softmax(log_probs, uniform)
+        log_prob = log_probs.gather(-1, actions[..., None]).squeeze(-1)
+        values = self._architecture.values(parameters, observations)
+        return actions[:, :copies], log_prob[:, :copies], values[:, :copies]
 
     def improve(self, rewards: Tensor | None = None) -> dict[str, NDArray[np.float64]]:
         """Update policies and value functions on the last rollout.
@@ -212,7 +265,6 @@ class PPOLearner(Stateful):
             )
         }
 
-    @torch.no_grad()
     def _samples(self, rollout: Rollout) -> Tensor:
         """Return what a rollout's updates need, with the N samples of a seed side by side.
 
@@ -221,24 +273,19 @@ class PPOLearner(Stateful):
             policy that took it, advantage, and return.
         """
         config = self.config
-        states, actions = self._by_seed(rollout.observations), self._by_seed(rollout.actions)
-        values = self._in_chunks(self._architecture.values, states)
-        next_states = self._by_seed(rollout.next_observations)
         advantages = generalized_advantages(
             rollout.rewards,
-            self._by_step(values),
-            self._by_step(self._in_chunks(self._architecture.values, next_states)),
+            rollout.values,
+            rollout.next_values,
             rollout.terminated,
             rollout.truncated,
             config.gamma,
             config.gae_lambda,
         )
-        advantage = self._by_seed(advantages)
-        one_hot = functional.one_hot(actions, self._actions).float()
-        log_probs = self._in_chunks(self._architecture.forward, states).log_softmax(dim=-1)
-        log_prob = (log_probs * one_hot).sum(dim=-1)
-        numbers = torch.stack((log_prob, advantage, values + advantage), dim=-1)
-        return torch.cat((states, one_hot, numbers), dim=-1).flatten(0, 1)
+        numbers = np.stack((rollout.log_probs, advantages, rollout.values + advantages), axis=-1)
+        one_hot = np.eye(self._actions, dtype=np.float32)[rollout.actions]
+        rows = np.concatenate((rollout.observations, one_hot, numbers), axis=-1)
+        return self._by_seed(rows).flatten(0, 1)
 
     def _minibatches(self) -> Sequence[Tensor]:
         """Draw a permutation of each seed's samples per epoch, and divide it into minibatches.
@@ -292,11 +339,6 @@ class PPOLearner(Stateful):
             seen = self._normalization.seen
             moments = torch.from_numpy(np.concatenate((seen.mean, seen.deviation), axis=1))
             self.policy.flat[:, :-actor] = moments.to(self.policy.flat)
-
-    def _in_chunks(self, forward: Any, states: Tensor) -> Tensor:
-        """Evaluate one of the networks in states (S, N, obs)."""
-        chunks = torch.split(states, self._CHUNK, dim=1)
-        return torch.cat([forward(self.networks.parameters, chunk) for chunk in chunks], dim=1)
 
     def _by_seed(self, array: NDArray[Any]) -> Tensor:
         """Turn (T, S·K, …) into (S, N, …)."""

@@ -386,16 +386,13 @@ def test_only_a_truncated_episode_is_worth_more_than_its_rewards(mountaincar: En
     one.collect()
     assert one._rollout is not None
     assert one._rollout.truncated.any(axis=1).tolist() == [step == 199 for step in range(220)]
+    values, following = one._rollout.values, one._rollout.next_values
+    assert (following[:199] == values[1:200]).all()
+    assert (following[200:-1] == values[201:]).all()
+    assert (following[199] != values[200]).all()  # of the next episode's first state
     rollout = one._rollout._replace(rewards=np.zeros_like(one._rollout.rewards))
-    size = one._size
-    by_step = one._samples(rollout).unflatten(0, (len(SEEDS), 220, 2)).transpose(0, 1)
-    states, returns = by_step[..., :size], by_step[..., -1]
-    with torch.no_grad():
-        following = torch.from_numpy(rollout.next_observations).unflatten(1, (len(SEEDS), 2))
-        values = one._architecture.values(one.networks.parameters, following[199])
-    torch.testing.assert_close(returns[199], values)
-    torch.testing.assert_close(following[198], states[199])
-    assert (following[199] - states[200]).abs().max() > 0.01  # not the next episode's first state
+    returns = one._samples(rollout).unflatten(0, (len(SEEDS), 220, 2))[..., -1]
+    np.testing.assert_allclose(returns.transpose(0, 1).flatten(1), following, atol=1e-6)
 
 
 def test_a_failure_is_worth_its_reward_alone(cartpole: Environment) -> None:
@@ -459,36 +456,46 @@ def test_a_loaded_state_resumes_bit_identically(
     assert_equal_states(rounds(resumed, 2).state_dict(), rounds(one, 2).state_dict())
 
 
-#: Sizes as in conf/, since which kernel multiplies depends on them.
-LARGE = {"hidden": [64, 64], "n_envs": 8, "n_steps": 32}
+#: Sizes as in conf/, since which kernel multiplies depends on them; and the smallest.
+SIZES = {
+    "cartpole": {"hidden": [64, 64], "n_envs": 8, "n_steps": 32, "batch_size": 256},
+    "acrobot": {"hidden": [64, 64], "n_envs": 8, "n_steps": 32, "batch_size": 64},
+    "mountaincar": {"hidden": [5], "n_envs": 1, "n_steps": 32, "batch_size": 16},
+}
 
 
-def trained(
-    environment: Environment, seeds: tuple[int, ...], size: int, *, compiled: bool
-) -> PPOLearner:
-    settings = config(**LARGE, batch_size=size, max_grad_norm=0.3)
-    one = learner(environment, settings, seeds, compiled=compiled, normalize=size == 64)
+def trained(environment: Environment, seeds: tuple[int, ...], *, compiled: bool) -> PPOLearner:
+    name = environment.config.name
+    settings = config(**SIZES[name], max_grad_norm=0.3)
+    one = learner(environment, settings, seeds, compiled=compiled, normalize=name == "acrobot")
     return rounds(one, 3)
 
 
-@pytest.fixture(scope="module", params=[64, 256])
-def among(request: pytest.FixtureRequest, environments: dict[str, Environment]) -> Any:
-    environment = environments["cartpole" if request.param == 256 else "acrobot"]
-    return environment, request.param, trained(environment, (3, 5, 9), request.param, compiled=True)
+@pytest.fixture(scope="module", params=SIZES)
+def among(
+    request: pytest.FixtureRequest, environments: dict[str, Environment]
+) -> tuple[Environment, PPOLearner]:
+    """An environment, and three seeds trained in it by compiled updates."""
+    environment = environments[request.param]
+    return environment, trained(environment, (3, 5, 9), compiled=True)
 
 
 @needs_compiler
-def test_compiled_training_is_the_eager_one_but_for_rounding(among: Any) -> None:
-    environment, size, found = among
-    expected = trained(environment, (3, 5, 9), size, compiled=False)
+def test_compiled_training_is_the_eager_one_but_for_rounding(
+    among: tuple[Environment, PPOLearner],
+) -> None:
+    environment, found = among
+    expected = trained(environment, (3, 5, 9), compiled=False)
     torch.testing.assert_close(found.networks.flat, expected.networks.flat, rtol=1e-3, atol=1e-4)
     assert not torch.equal(found.networks.flat, expected.networks.flat)  # so it was compiled
 
 
 @needs_compiler
-def test_a_seeds_compiled_training_does_not_depend_on_other_seeds(among: Any) -> None:
-    environment, size, found = among
-    alone = trained(environment, (5,), size, compiled=True)
+def test_a_seeds_compiled_training_does_not_depend_on_other_seeds(
+    among: tuple[Environment, PPOLearner],
+) -> None:
+    environment, found = among
+    alone = trained(environment, (5,), compiled=True)
     assert torch.equal(alone.networks.flat[0], found.networks.flat[1])
     assert torch.equal(alone.policy.flat[0], found.policy.flat[1])
 
