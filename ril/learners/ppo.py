@@ -36,7 +36,7 @@ from ril.vectorized.networks import (
 from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
-from ril.vectorized.updates import ClippedAdam, square_root
+from ril.vectorized.updates import ClippedAdam
 
 #: A graph's batches have at least so many rows. With fewer, those of a single seed would not fill a
 #: vector register, and round differently from those of several seeds.
@@ -250,8 +250,11 @@ class PPOLearner(Stateful):
             remaining = max(0.0, 1.0 - self.steps / self._total_timesteps)
         self._optimizer.learning_rate = remaining * config.learning_rate
         clip_range = torch.tensor(remaining * config.clip_range, device=self._device)
+        rows = self._minibatches()
+        advantages = _standardized(samples[:, -2][rows])
         measured = [
-            self._descend(samples, minibatch, clip_range)[1:] for minibatch in self._minibatches()
+            self._descend(samples, *minibatch, clip_range)[1:]
+            for minibatch in zip(rows, advantages, strict=True)
         ]
         entropy, value_loss, divergence = zip(*measured, strict=True)
         of_last_epoch = divergence[-(len(divergence) // config.n_epochs) :]
@@ -287,20 +290,25 @@ class PPOLearner(Stateful):
         rows = np.concatenate((rollout.observations, one_hot, numbers), axis=-1)
         return self._by_seed(rows).flatten(0, 1)
 
-    def _minibatches(self) -> Sequence[Tensor]:
+    def _minibatches(self) -> Tensor:
         """Draw a permutation of each seed's samples per epoch, and divide it into minibatches.
 
         Returns:
-            Rows (S, B) of `_samples`, one entry per minibatch.
+            (M, S, B) the rows of `_samples` in each of M minibatches.
         """
         drawn = self._shuffling.permutations(self.config.n_epochs, self.rollout_steps)
         firsts = np.arange(self._seeds)[:, None, None] * self.rollout_steps
         rows = (drawn + firsts).reshape(self._seeds, -1, self.config.batch_size)
         by_minibatch = np.ascontiguousarray(rows.swapaxes(0, 1))
-        return torch.from_numpy(by_minibatch).to(self._device).unbind()
+        return torch.from_numpy(by_minibatch).to(self._device)
 
     def _loss(
-        self, parameters: Parameters, samples: Tensor, minibatch: Tensor, clip_range: Tensor
+        self,
+        parameters: Parameters,
+        samples: Tensor,
+        minibatch: Tensor,
+        advantages: Tensor,
+        clip_range: Tensor,
     ) -> tuple[Tensor, ...]:
         """Compute the loss of each sample (Schulman et al., 2017, eq. 9).
 
@@ -308,6 +316,7 @@ class PPOLearner(Stateful):
             parameters: parameters of `networks`, by name.
             samples: (S·N, …) from `_samples`.
             minibatch: (S, B) rows of it.
+            advantages: (S, B) standardized advantages of these samples.
             clip_range: () ε.
 
         Returns:
@@ -318,8 +327,7 @@ class PPOLearner(Stateful):
         config = self.config
         rows = samples.index_select(0, minibatch.flatten()).view(*minibatch.shape, -1)
         states, one_hot = rows[..., : self._size], rows[..., self._size : -3]
-        old_log_prob, advantages, returns = rows[..., -3:].unbind(dim=-1)
-        advantages = _standardized(advantages)
+        old_log_prob, _, returns = rows[..., -3:].unbind(dim=-1)
 
         log_probs = self._architecture.forward(parameters, states).log_softmax(dim=-1)
         log_ratio = (log_probs * one_hot).sum(dim=-1) - old_log_prob
@@ -354,11 +362,12 @@ class PPOLearner(Stateful):
 
 
 def _standardized(advantages: Tensor) -> Tensor:
-    """Give each row of advantages (S, B) mean 0 and deviation 1."""
-    centered = advantages - advantages.mean(dim=1, keepdim=True)
-    # Written out, because torch's compiler fails on `std` here.
-    variance = centered.square().sum(dim=1, keepdim=True) / (advantages.shape[1] - 1)
-    return centered / (square_root(variance) + 1e-8)
+    """Give the advantages (M, S, B) of each minibatch mean 0 and deviation 1.
+
+    Not part of `_loss`: a compiled mean's rounding would depend on the number of seeds.
+    """
+    deviation = advantages.std(dim=-1, keepdim=True)
+    return (advantages - advantages.mean(dim=-1, keepdim=True)) / (deviation + 1e-8)
 
 
 def orthogonal(

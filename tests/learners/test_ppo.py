@@ -502,7 +502,7 @@ def test_a_seeds_compiled_training_does_not_depend_on_other_seeds(
 
 def test_minibatches_are_permutations_of_each_seeds_samples(cartpole: Environment) -> None:
     one = learner(cartpole, config())
-    minibatches = torch.stack(list(one._minibatches()))
+    minibatches = one._minibatches()
     assert minibatches.shape == (8, 2, 16)
     epochs = minibatches.unflatten(0, (2, 4)).transpose(1, 2).flatten(2)  # (epoch, seed, sample)
     for epoch in epochs:
