@@ -256,7 +256,7 @@ def test_a_seeds_draws_do_not_depend_on_other_seeds(capacity: int) -> None:
     for of_several, drawn in zip(several, one, strict=True):
         assert torch.equal(of_several[1], drawn[0])
     state, of_alone = among.state_dict(), alone.state_dict()
-    for found, expected in zip(state["levels"], of_alone["_levels"], strict=True):
+    for found, expected in zip(state["levels"], of_alone["levels"], strict=True):
         assert torch.equal(found[1], expected[0])
     assert torch.equal(state["_highest"][1], of_alone["_highest"][0])
 
