@@ -11,6 +11,10 @@ seeds that have no row. `show` prints the comparison in docs/checks/README.md.
 
 from __future__ import annotations
 
+import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torch
+
+# isort: split
+
 import csv
 import sys
 import time

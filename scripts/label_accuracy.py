@@ -9,6 +9,10 @@ the lines of an environment differ in `method.inverse_dynamics.standardize` only
 
 from __future__ import annotations
 
+import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torch
+
+# isort: split
+
 import sys
 
 import numpy as np

@@ -11,6 +11,10 @@ for different methods or environments may run at the same time.
 
 from __future__ import annotations
 
+import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torch
+
+# isort: split
+
 import csv
 import fcntl
 import sys
