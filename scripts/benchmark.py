@@ -21,6 +21,7 @@ import torch
 from bench.growth import growth, start_up
 from bench.loops import SETTINGS, dqn, ril_together
 from bench.projection import projection
+from bench.runs import prioritized, whole_runs
 from bench.updates import measured as updates
 from rich.console import Console
 
@@ -58,8 +59,11 @@ def main() -> None:
     show("An update", of_updates, f"Ten compiled against one module each: {ratio:.1f}× (aim: 20×).")
     of_dqn = dqn(rounds, 1000 if quick else 3000, 2 if quick else len(SETTINGS), arguments.sbx)
     show("Whole loops", of_dqn, "Aims, compiled: 20× at an update per step, 12× at one per four.")
+    of_priority = prioritized(rounds, 1000 if quick else 3000)
+    show("Prioritized replay", of_priority, "Aim: 0.6×.")
     of_ril, together = ril_together(rounds, 3 if quick else 10)
     show("Seeds together", of_ril, f"{together:.1f}× (aim: 6×).")
+    show("Whole runs", whole_runs(1, 2 if quick else 10))
     of_start, helped = start_up(rounds)
     show("Start-up", of_start, f"`--help`: {helped:.2f} s (aim: below 1.5 s).")
     of_growth, memory = growth(quick)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,7 @@ def _acrobot_slope(env: Any, states: States, torque: States) -> States:
 
 def _squared(numbers: States) -> States:
     """Square by `pow`, as Gymnasium does: the result may differ from x·x in the last bit."""
-    return np.array([math.pow(number, 2.0) for number in numbers.tolist()])
+    return np.fromiter(map(math.pow, numbers.tolist(), repeat(2.0)), float, len(numbers))
 
 
 STEPS: dict[str, Step] = {
