@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import os
 import sys
 from pathlib import Path
-from typing import NoReturn
+
+from ril.cli.arguments import Parser
 
 TABLES = tuple(f"table{number}" for number in range(1, 10))
 FIGURES = ("figure2", "figure3", "figure4", "figure5", "curves", "sensitivity")
@@ -26,25 +26,6 @@ examples:
   ril-report --audit                          contradictions within the paper
   ril-report --outputs outputs/reference      the rows that come with ril's source
 """
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argument parser that reports a mistake in one line, without the usage."""
-
-    def error(self, message: str) -> NoReturn:
-        """Exit with the message."""
-        sys.exit(f"ril-report: {message}")
-
-
-class _Version(argparse.Action):
-    """An action that prints the version; only then is `ril` imported to find it."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        """Print it and exit."""
-        import ril
-
-        print(f"ril-report {ril.__version__}")
-        parser.exit()
 
 
 def main() -> None:
@@ -92,12 +73,11 @@ def main() -> None:
         sys.exit("ril-report: stopped")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="ril-report",
-        description="Show our rows as the paper's tables and figures, compared with its numbers.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def _parser() -> Parser:
+    parser = Parser(
+        "ril-report",
+        "Show our rows as the paper's tables and figures, compared with its numbers.",
+        _EXAMPLES,
     )
     parser.add_argument(
         "targets",
@@ -128,7 +108,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--audit", action="store_true", help="list the contradictions within the paper"
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     return parser
 
 

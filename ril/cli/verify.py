@@ -6,10 +6,12 @@ import argparse
 import random
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 from ril import kernels
+from ril.cli.arguments import Parser
 from ril.cli.command import MISTAKES, in_one_line
+from ril.io.errors import UserError
 
 if TYPE_CHECKING:
     from ril.run.verify import Comparison
@@ -25,13 +27,11 @@ examples:
 
 def main() -> None:
     """Run the command; a difference or a user's mistake is exit status 1."""
-    parser = argparse.ArgumentParser(
-        prog="ril-verify",
-        description="Run finished runs again, and compare every digit of their rows and curves.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = Parser(
+        "ril-verify",
+        "Run finished runs again, and compare every digit of their rows and curves.",
+        _EXAMPLES,
     )
-    parser.error = _refuse  # type: ignore[method-assign]
     parser.add_argument(
         "runs",
         nargs="*",
@@ -42,29 +42,24 @@ def main() -> None:
     )
     parser.add_argument("--sample", type=int, metavar="N", help="verify N of them, drawn at random")
     parser.add_argument("--seeds", type=int, metavar="N", help="only the first N seeds of each run")
-    arguments = parser.parse_args()
     try:
-        sys.exit(_verify_all(arguments))
+        sys.exit(_verify_all(parser.parse_args()))
     except MISTAKES as error:
-        _refuse(in_one_line(error))
+        sys.exit(f"ril-verify: {in_one_line(error)}")
     except KeyboardInterrupt:
         sys.exit("ril-verify: stopped")
-
-
-def _refuse(message: str) -> NoReturn:
-    sys.exit(f"ril-verify: {message}")
 
 
 def _verify_all(arguments: argparse.Namespace) -> bool:
     """Verify the chosen runs one after another; return whether some digit differs."""
     for name in ("sample", "seeds"):
         if (value := getattr(arguments, name)) is not None and value < 1:
-            _refuse(f"--{name} {value}: must be at least 1")
+            raise UserError(f"--{name} {value}: must be at least 1")
     folders = []
     for given in arguments.runs:
         found = sorted(file.parent for file in given.rglob("results.csv"))
         if not found:
-            _refuse(f"{given}: has no finished run")
+            raise UserError(f"{given}: has no finished run")
         folders += found
     if arguments.sample:
         folders = sorted(random.sample(folders, min(arguments.sample, len(folders))))
@@ -120,8 +115,8 @@ def _result(comparison: Comparison) -> str:
         since = f"from epoch {epoch} on" if epoch is not None else "after training"
         columns = ", ".join(comparison.columns.get(seed, ["only the curve"]))
         lines.append(f"  seed {seed}: {since} ({columns})")
-    reasons = comparison.reasons or ["nothing that ril records differs"]
-    lines += [f"  the run had {reason}" for reason in reasons]
+    reasons = [f"the run had {reason}" for reason in comparison.reasons]
+    lines += [f"  {reason}" for reason in reasons or ["nothing that ril records explains it"]]
     return "\n".join(lines)
 
 

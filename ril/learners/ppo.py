@@ -22,7 +22,7 @@ from ril.learners.exploration import sample_softmax
 from ril.learners.normalization import CLIP, Normalization, RunningMoments, Standardization
 from ril.learners.topology import tanh_mlp
 from ril.task import Task
-from ril.vectorized.compiling import compile_graph, with_fallback, worth_compiling
+from ril.vectorized.compiling import compile_graph, is_tracing, with_fallback, worth_compiling
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import (
     ActorCritic,
@@ -151,7 +151,7 @@ class PPOLearner(Stateful):
         self._descend = descent(self._optimizer, self._loss, compile_step=compiled)
         self._act = self._decide
         if compiled:
-            self._act = with_fallback(compile_graph(lambda *x: self._decide(*x)), self._decide)
+            self._act = with_fallback(compile_graph(self._decide), self._decide)
         self._sampling = Streams(seeds, "actions")
         self._shuffling = Streams(seeds, "minibatches")
         self._rollout: Rollout | None = None
@@ -224,7 +224,7 @@ class PPOLearner(Stateful):
         """
         parameters = by_name(self._architecture, flat)
         copies = observations.shape[1]
-        if torch.compiler.is_compiling():
+        if is_tracing():
             padding = max(0, _LEAST_ROWS - copies)
             observations = functional.pad(observations, (0, 0, 0, padding))
             uniform = functional.pad(uniform, (0, padding))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from omegaconf import MISSING
@@ -14,7 +14,7 @@ from ril.config.fields import at_least, one_of, within
 from ril.learners.td import td_errors, td_losses
 from ril.vectorized.descent import descent, train_on_minibatches
 from ril.vectorized.networks import Network, Parameters, by_name
-from ril.vectorized.priorities import Priorities
+from ril.vectorized.priorities import Levels, Priorities, draw, importance
 from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
@@ -94,11 +94,11 @@ class QLearning(Stateful):
         device = self.policy.flat.device
         uniform = self._streams.uniform(updates, config.batch_size)
         memory = self.replay.everything()
-        drawn, also = random_indices(uniform, sizes), list[Tensor]()
+        drawn, also = random_indices(uniform, sizes), list[Any]()
         if self.priorities is not None:
             drawn = torch.from_numpy(uniform)
             exponent = torch.tensor([beta], dtype=torch.float64, device=device)
-            also = [torch.from_numpy(sizes).to(device), exponent]
+            also = [self.priorities.levels, torch.from_numpy(sizes).to(device), exponent]
 
         def step(of_step: Tensor) -> Tensor:
             if config.target_interval and self._optimizer.steps % config.target_interval == 0:
@@ -140,6 +140,7 @@ class QLearning(Stateful):
         target: Tensor,
         memory: Batch,
         uniform: Tensor,
+        levels: Levels,
         sizes: Tensor,
         beta: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -150,6 +151,7 @@ class QLearning(Stateful):
             target: (S, P) parameters of the target network.
             memory: (S, N, …) all stored transitions.
             uniform: (S, B) random numbers in [0, 1).
+            levels: the sum tree of the priorities.
             sizes: (S,) filled slots.
             beta: β, (1,).
 
@@ -157,8 +159,7 @@ class QLearning(Stateful):
             The weighted losses, the unweighted losses, the errors δ and the slots drawn, (S, B)
             each.
         """
-        assert self.priorities is not None
-        slots = self.priorities.draw(uniform, sizes)
-        weights = self.priorities.importance(slots, sizes, beta)
+        slots = draw(levels, uniform, sizes)
+        weights = importance(levels, slots, sizes, beta)
         losses, _, errors, _ = self._loss(parameters, target, memory, slots)
         return weights * losses, losses, errors, slots

@@ -8,9 +8,11 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+from torch import Tensor
 
 from ril import kernels
 from ril.io.errors import one_line
@@ -19,6 +21,8 @@ from ril.io.errors import one_line
 #: depend on how many seeds are trained together: compiled and eager results differ in the last
 #: bits, and a seed's results must not depend on the other seeds.
 _WORTHWHILE = 15_000
+
+_tracing = False
 
 #: torch's options that make a graph's digits the same on every machine (`ril.kernels`).
 _EXACT: dict[str, Any] = {
@@ -68,36 +72,81 @@ def _compilers() -> list[str]:
 def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function of tensors into one graph, at its first call.
 
+    The graph is kept in torch's cache on disk (`TORCHINDUCTOR_CACHE_DIR`): the next process that
+    needs the same one starts in a second.
+
     Args:
-        function: must fit into one graph; code that torch cannot trace raises an error.
+        function: a function from tensors, tuples of tensors and None to tensors. It is traced
+            once, so it must use no other tensors, and may write to its arguments only.
 
     Returns:
         The compiled function. It accepts only the shapes and strides of its first call.
     """
-    import torch._inductor.config
-
-    torch._inductor.config.compile_threads = 1  # the graphs are small: workers would cost more
     graphs: list[Callable[..., Any]] = []
 
     def call(*arguments: Any) -> Any:
+        tensors = _flattened(arguments)
         if not graphs:
-            options = _options(on_cpu=arguments[0].is_cpu)
-            lazily: Any = torch.compile(function, fullgraph=True, dynamic=False, options=options)
-            graph = lazily.aot_compile((arguments, {}))
-            graph.disable_guard_check()
-            graphs.append(graph)
-        return graphs[0](*arguments)
+            graphs.append(_compiled(function, arguments, tensors))
+        return graphs[0](*tensors)
 
     return call
 
 
-def _options(*, on_cpu: bool) -> dict[str, Any]:
-    """Return torch's options for a graph."""
-    # Every call of a graph has the same shapes, so torch's checks of its arguments, a fifth of
-    # each call's time, are switched off.
-    options: dict[str, Any] = {"guard_filter_fn": lambda guards: [False] * len(guards)}
-    options["cpp_wrapper"] = True  # also compile the code that calls the kernels
-    return options | _EXACT if on_cpu and not kernels.difference() else options
+def is_tracing() -> bool:
+    """Return whether a function is being traced for `compile_graph`."""
+    return _tracing
+
+
+def _flattened(arguments: Sequence[Any]) -> list[Tensor]:
+    """Return the tensors of arguments, each of which is a tensor, a tuple of tensors, or None."""
+    tensors: list[Tensor] = []
+    for argument in arguments:
+        if isinstance(argument, Tensor):
+            tensors.append(argument)
+        elif argument is not None:
+            tensors.extend(argument)
+    return tensors
+
+
+def _compiled(
+    function: Callable[..., Any], arguments: Sequence[Any], tensors: Sequence[Tensor]
+) -> Callable[..., Any]:
+    """Trace and compile a function, as one of the tensors in its arguments."""
+    import torch._inductor
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    def flat(*tensors: Tensor) -> Any:
+        rest = iter(tensors)
+
+        def given(argument: Any) -> Any:
+            if argument is None or isinstance(argument, Tensor):
+                return None if argument is None else next(rest)
+            parts = [next(rest) for _ in argument]
+            return argument._make(parts) if hasattr(argument, "_make") else tuple(parts)
+
+        return function(*map(given, arguments))
+
+    global _tracing
+    _tracing = True
+    try:
+        # Differentiated here, since torch's cache accepts no graph with a gradient to be taken.
+        graph = make_fx(flat, tracing_mode="fake")(*tensors)
+    finally:
+        _tracing = False
+    options: dict[str, Any] = {
+        "cpp_wrapper": True,  # also compile the code that calls the kernels
+        "compile_threads": 1,  # the graphs are small: workers would cost more
+    }
+    if tensors[0].is_cpu and not kernels.difference():
+        options |= _EXACT
+    compiled: Callable[..., Any] = torch._inductor.standalone_compile(
+        graph,
+        list(tensors),
+        dynamic_shapes="from_example_inputs",
+        options={"config_patches": options},
+    )
+    return compiled
 
 
 def with_fallback(compiled: Callable[..., Any], eager: Callable[..., Any]) -> Callable[..., Any]:

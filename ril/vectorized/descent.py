@@ -42,7 +42,9 @@ def descent(
         return eager
 
     @compile_graph
-    def graph(parameters: Tensor, scales: Tensor, *tensors: Tensor) -> tuple[Tensor, ...]:
+    def graph(
+        parameters: Tensor, mean: Tensor, square: Tensor, scales: Tensor, *tensors: Tensor
+    ) -> tuple[Tensor, ...]:
         def total(named: dict[str, Tensor]) -> tuple[Tensor, tuple[Tensor, ...]]:
             values = loss(named, *tensors)
             # The mean is not returned: its rounding depends on the number of seeds.
@@ -50,7 +52,7 @@ def descent(
 
         views = by_name(network.architecture, parameters)
         gradients, values = torch.func.grad(total, has_aux=True)(views)
-        mean, denominator = optimizer.change(gradients.values(), scales[1])
+        denominator = optimizer.change(mean, square, gradients.values(), scales[1])
         parameters.sub_(scales[2] / scales[0] * mean / denominator)
         descended: tuple[Tensor, ...] = values
         return descended
@@ -59,7 +61,8 @@ def descent(
         # A tensor, because the graph would hold plain numbers as constants.
         numbers = (*optimizer.scales(), optimizer.learning_rate)
         scales = torch.tensor(numbers, device=network.flat.device)
-        values: tuple[Tensor, ...] = graph(network.flat, scales, *tensors)
+        state = network.flat, optimizer.mean, optimizer.square
+        values: tuple[Tensor, ...] = graph(*state, scales, *tensors)
         optimizer.steps += 1
         return values
 

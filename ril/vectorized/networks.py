@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ril.environments import Floats
+from ril.vectorized.compiling import is_tracing
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 
@@ -254,11 +255,11 @@ def affine(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     inputs, outputs = weight.shape[1:]
     if inputs == 1:
         x, weight = functional.pad(x, (0, 1)), functional.pad(weight, (0, 0, 0, 1))
-    least = 16 if torch.compiler.is_compiling() else 2
+    least = 16 if is_tracing() else 2
     if outputs < least:
         padding = 0, least - outputs
         weight, bias = functional.pad(weight, padding), functional.pad(bias, padding)
-    if torch.compiler.is_compiling():
+    if is_tracing():
         product: Tensor = _Product.apply(x.contiguous(), weight.contiguous())  # type: ignore[no-untyped-call]
         return (product + bias)[..., :outputs]
     return torch.baddbmm(bias, x, weight)[..., :outputs]
@@ -287,7 +288,7 @@ class _Product(torch.autograd.Function):
 
 def tanh(x: Tensor) -> Tensor:
     """Compute tanh; in a compiled graph as 2σ(2x) − 1, three times as fast, within 2e-7."""
-    return 2 * torch.sigmoid(2 * x) - 1 if torch.compiler.is_compiling() else x.tanh()
+    return 2 * torch.sigmoid(2 * x) - 1 if is_tracing() else x.tanh()
 
 
 def self_attention(x: Tensor, weight: Tensor, bias: Tensor, gamma: Tensor) -> Tensor:

@@ -12,6 +12,9 @@ from ril.vectorized.state import Stateful
 _EPSILON = 1e-6  # ε of their §3.3: a transition without error can still be drawn again
 _LEVELS = 3
 
+#: From the top down, (S, F), (S, F²), (S, F³): the children of a node lie side by side.
+Levels = tuple[Tensor, ...]
+
 
 class Priorities(Stateful):
     """Sampling weights (|δ| + ε)^α of each slot of each seed's memory, in a sum tree.
@@ -25,15 +28,17 @@ class Priorities(Stateful):
         capacity: N, slots per seed.
         alpha: α, how strongly the errors count; 0 draws uniformly.
         device: device of the arrays.
+
+    Attributes:
+        levels: the sums of the tree, of which the last level are the weights.
     """
 
-    STATE: ClassVar = ("_levels", "_highest")
+    STATE: ClassVar = ("levels", "_highest")
 
     def __init__(self, seeds: int, capacity: int, alpha: float, device: torch.device) -> None:
         self.alpha = alpha
         self._children = next(f for f in range(1, capacity + 1) if f**_LEVELS >= capacity)
-        # From the top down, (S, F), (S, F²), (S, F³): the children of a node lie side by side.
-        self._levels = tuple(
+        self.levels: Levels = tuple(
             torch.zeros(seeds, self._children ** (level + 1), dtype=torch.float64, device=device)
             for level in range(_LEVELS)
         )
@@ -43,7 +48,7 @@ class Priorities(Stateful):
     @property
     def weights(self) -> Tensor:
         """(S, ≥ N) weights: a slot is drawn in proportion to its weight; 0 for empty slots."""
-        return self._levels[-1]
+        return self.levels[-1]
 
     def add(self, slots: Tensor) -> None:
         """Give new transitions at slots (S, C) the highest priority of their seed so far."""
@@ -61,50 +66,57 @@ class Priorities(Stateful):
         nodes = slots
         for level in reversed(range(1, _LEVELS)):
             nodes = nodes // self._children
-            self._levels[level - 1][self._rows, nodes] = self._below(level, nodes).sum(dim=-1)
+            sums = _below(self.levels, level, nodes).sum(dim=-1)
+            self.levels[level - 1][self._rows, nodes] = sums
 
-    def _below(self, level: int, nodes: Tensor) -> Tensor:
-        """Return the children (S, C, F), on a level, of nodes (S, C) of the level above."""
-        groups = self._levels[level].view(len(self._rows), -1, self._children)
-        return groups[self._rows, nodes]
 
-    def draw(self, uniform: Tensor, sizes: Tensor) -> Tensor:
-        """Draw slots in proportion to their weights, one from each of B equal shares of the sum.
+def draw(levels: Levels, uniform: Tensor, sizes: Tensor) -> Tensor:
+    """Draw slots in proportion to their weights, one from each of B equal shares of the sum.
 
-        Args:
-            uniform: (S, B) random numbers in [0, 1).
-            sizes: (S,) filled slots.
+    Args:
+        levels: of the sum tree.
+        uniform: (S, B) random numbers in [0, 1).
+        sizes: (S,) filled slots.
 
-        Returns:
-            (S, B) slots.
-        """
-        count, last = uniform.shape[1], sizes[:, None] - 1
-        positions = torch.arange(self._children, device=uniform.device)
-        nodes = torch.zeros_like(last)  # the root
-        share = torch.arange(count, device=uniform.device) + uniform.double()
-        sought = share / count * self._levels[0].cumsum(dim=-1)[:, -1:]
-        for level in range(_LEVELS):
-            ends = self._below(level, nodes).cumsum(dim=-1)
-            child = (ends <= sought[..., None]).sum(dim=-1)
-            # Rounding may lead past the last filled slot.
-            last_node = last // self._children ** (_LEVELS - 1 - level)
-            child = torch.minimum(child, last_node - nodes * self._children)
-            before = torch.where(positions < child[..., None], ends, 0.0).amax(dim=-1)
-            sought = sought - before
-            nodes = nodes * self._children + child
-        return nodes
+    Returns:
+        (S, B) slots.
+    """
+    children = levels[0].shape[1]
+    count, last = uniform.shape[1], sizes[:, None] - 1
+    positions = torch.arange(children, device=uniform.device)
+    nodes = torch.zeros_like(last)  # the root
+    share = torch.arange(count, device=uniform.device) + uniform.double()
+    sought = share / count * levels[0].cumsum(dim=-1)[:, -1:]
+    for level in range(_LEVELS):
+        ends = _below(levels, level, nodes).cumsum(dim=-1)
+        child = (ends <= sought[..., None]).sum(dim=-1)
+        # Rounding may lead past the last filled slot.
+        last_node = last // children ** (_LEVELS - 1 - level)
+        child = torch.minimum(child, last_node - nodes * children)
+        before = torch.where(positions < child[..., None], ends, 0.0).amax(dim=-1)
+        sought = sought - before
+        nodes = nodes * children + child
+    return nodes
 
-    def importance(self, slots: Tensor, sizes: Tensor, beta: Tensor) -> Tensor:
-        """Compute importance-sampling weights (N·P)^−β, scaled so that each batch's largest is 1.
 
-        Args:
-            slots: (S, B) drawn slots.
-            sizes: (S,) filled slots.
-            beta: β in [0, 1], how much of the bias of prioritized draws is corrected; (1,).
+def importance(levels: Levels, slots: Tensor, sizes: Tensor, beta: Tensor) -> Tensor:
+    """Compute importance-sampling weights (N·P)^−β, scaled so that each batch's largest is 1.
 
-        Returns:
-            (S, B).
-        """
-        chance = self.weights[self._rows, slots] / self._levels[0].sum(dim=-1, keepdim=True)
-        weights = (sizes[:, None] * chance) ** -beta
-        return (weights / weights.amax(dim=1, keepdim=True)).float()
+    Args:
+        levels: of the sum tree.
+        slots: (S, B) drawn slots.
+        sizes: (S,) filled slots.
+        beta: β in [0, 1], how much of the bias of prioritized draws is corrected; (1,).
+
+    Returns:
+        (S, B).
+    """
+    chance = levels[-1].gather(1, slots) / levels[0].sum(dim=-1, keepdim=True)
+    weights = (sizes[:, None] * chance) ** -beta
+    return (weights / weights.amax(dim=1, keepdim=True)).float()
+
+
+def _below(levels: Levels, level: int, nodes: Tensor) -> Tensor:
+    """Return the children (S, C, F), on a level, of nodes (S, C) of the level above."""
+    groups = levels[level].view(len(nodes), -1, levels[0].shape[1])
+    return groups[torch.arange(len(nodes), device=nodes.device)[:, None], nodes]

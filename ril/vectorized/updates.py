@@ -64,8 +64,9 @@ class ClippedAdam(Stateful):
         leaves = list(self.network.parameters.values())
         gradients = torch.autograd.grad(losses.sum(), leaves)
         mean_scale, square_scale = self.scales()
-        change = self.change(gradients, square_scale)
-        self.network.flat.addcdiv_(*change, value=-self.learning_rate / mean_scale)
+        denominator = self.change(self.mean, self.square, gradients, square_scale)
+        rate = self.learning_rate / mean_scale
+        self.network.flat.addcdiv_(self.mean, denominator, value=-rate)
         self.steps += 1
 
     def scales(self) -> tuple[float, float]:
@@ -79,16 +80,22 @@ class ClippedAdam(Stateful):
         return 1 - self.beta1**steps, math.sqrt(1 - self.BETA2**steps)
 
     def change(
-        self, gradients: Iterable[Tensor], square_scale: float | Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Update both running means, and compute the step except for its scale.
+        self,
+        mean: Tensor,
+        square: Tensor,
+        gradients: Iterable[Tensor],
+        square_scale: float | Tensor,
+    ) -> Tensor:
+        """Update both running means, of which the first is the step's numerator.
 
         Args:
+            mean: `mean`, (S, P), written in place.
+            square: `square`, (S, P), written in place.
             gradients: of each parameter, (S, rows, columns).
             square_scale: the second of `scales`.
 
         Returns:
-            The step's numerator and denominator, (S, P) each.
+            (S, P) the step's denominator.
         """
         parts = [gradient.flatten(1) for gradient in gradients]
         if self.max_norm is not None:
@@ -99,9 +106,9 @@ class ClippedAdam(Stateful):
         gradient = torch.cat(parts, dim=1)
         if self.gradient_clip is not None:
             gradient = gradient.clamp(-self.gradient_clip, self.gradient_clip)
-        self.mean.lerp_(gradient, 1 - self.beta1)
-        self.square.mul_(self.BETA2).addcmul_(gradient, gradient, value=1 - self.BETA2)
-        return self.mean, square_root(self.square).div_(square_scale).add_(self.epsilon)
+        mean.lerp_(gradient, 1 - self.beta1)
+        square.mul_(self.BETA2).addcmul_(gradient, gradient, value=1 - self.BETA2)
+        return square_root(square).div_(square_scale).add_(self.epsilon)
 
 
 def square_root(x: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from helpers.runs import composed
 from hydra.core.global_hydra import GlobalHydra
 
 from ril.cli import expert as experts
-from ril.cli import report
+from ril.cli import report, verify
 from ril.cli import run as cli
 from ril.cli.configuration import from_hydra
 from ril.demonstrations.files import load_demonstrations, shipped_path
@@ -26,7 +26,12 @@ from ril.run.record import Record
 
 PAGE = Path(__file__).parent / "wrong_inputs.md"
 ROWS = re.findall(r"^\| `(ril-.*?)` \| ``?(.*?)``? \|$", PAGE.read_text("utf-8"), re.MULTILINE)
-MAINS = {"ril-run": cli.main, "ril-report": report.main, "ril-expert": experts.main}
+MAINS = {
+    "ril-run": cli.main,
+    "ril-report": report.main,
+    "ril-expert": experts.main,
+    "ril-verify": verify.main,
+}
 
 
 def test_the_page_has_at_least_forty_wrong_inputs() -> None:

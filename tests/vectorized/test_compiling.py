@@ -1,10 +1,10 @@
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
+import torch._inductor
 from torch._dynamo.exc import TorchDynamoException
 
 from ril.vectorized import compiling
@@ -12,19 +12,15 @@ from ril.vectorized.compiling import compile_graph, with_fallback
 
 
 def broken(*_: Any, **__: Any) -> Any:
-    """`torch.compile` on a machine whose disk is full."""
-
-    def fails(*_: Any) -> None:
-        raise TorchDynamoException("OSError: No space left on device\n\nSet …")
-
-    return SimpleNamespace(aot_compile=fails)
+    """Torch's compiler on a machine whose disk is full."""
+    raise TorchDynamoException("OSError: No space left on device\n\nSet …")
 
 
 def test_a_function_that_torch_cannot_compile_stays_eager_and_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     compiling._warn.cache_clear()
-    monkeypatch.setattr(torch, "compile", broken)
+    monkeypatch.setattr(torch._inductor, "standalone_compile", broken)
     function = with_fallback(compile_graph(torch.add), torch.add)
     for _ in range(2):
         assert function(torch.ones(1), torch.ones(1)) == 2

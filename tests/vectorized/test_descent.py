@@ -285,10 +285,28 @@ def test_where_compiling_fails_training_is_eager(
 
 
 @needs_compiler
-def test_what_does_not_fit_into_one_graph_is_an_error() -> None:
-    def of_two_graphs(x: Tensor) -> Tensor:
-        torch._dynamo.graph_break()
-        return x + 1
+def test_what_cannot_be_traced_is_an_error() -> None:
+    def with_a_branch(x: Tensor) -> Tensor:
+        return x + 1 if x.sum() > 0 else x
 
-    with pytest.raises(Exception, match="graph_break"):
-        compile_graph(of_two_graphs)(torch.zeros(2))
+    with pytest.raises(Exception, match="data-dependent"):
+        compile_graph(with_a_branch)(torch.zeros(2))
+
+
+@needs_compiler
+def test_a_tensor_that_is_no_argument_is_an_error() -> None:
+    other = torch.ones(2)
+    with pytest.raises(Exception, match="FakeTensor"):
+        compile_graph(lambda x: x + other)(torch.zeros(2))
+
+
+@needs_compiler
+def test_arguments_may_be_tuples_and_none_and_repeat() -> None:
+    def function(x: Tensor, pair: tuple[Tensor, Tensor], nothing: None, again: Tensor) -> Tensor:
+        assert nothing is None
+        x.add_(pair[0])
+        return x * pair[1] + again
+
+    x = torch.ones(2)
+    assert compile_graph(function)(x, (x, 3 * x), None, x).tolist() == [8.0, 8.0]
+    assert x.tolist() == [2.0, 2.0]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ril.vectorized import priorities as module
-from ril.vectorized.priorities import Priorities
+from ril.vectorized.priorities import Priorities, importance
 
 CPU = torch.device("cpu")
 BELOW_ONE = float(np.nextafter(np.float32(1), np.float32(0)))
@@ -22,14 +22,14 @@ BELOW_ONE = float(np.nextafter(np.float32(1), np.float32(0)))
 def draw_from(
     priorities: Priorities, uniform: NDArray[np.float32], sizes: NDArray[np.int64]
 ) -> torch.Tensor:
-    return priorities.draw(torch.from_numpy(uniform), torch.from_numpy(sizes))
+    return module.draw(priorities.levels, torch.from_numpy(uniform), torch.from_numpy(sizes))
 
 
 def importance_of(
     priorities: Priorities, slots: torch.Tensor, sizes: NDArray[np.int64], beta: float
 ) -> torch.Tensor:
-    return priorities.importance(
-        slots, torch.from_numpy(sizes), torch.tensor([beta], dtype=torch.float64)
+    return importance(
+        priorities.levels, slots, torch.from_numpy(sizes), torch.tensor([beta], dtype=torch.float64)
     )
 
 
@@ -228,7 +228,7 @@ def test_sums_are_those_of_the_slots_after_any_updates(
         np.put_along_axis(model, slots, values, axis=1)
     np.testing.assert_allclose(priorities.weights[:, :capacity].numpy(), model, rtol=1e-12)
     assert not priorities.weights[:, capacity:].any()
-    levels = [level.numpy() for level in priorities.state_dict()["_levels"]]
+    levels = [level.numpy() for level in priorities.state_dict()["levels"]]
     for above, below in pairwise(levels):
         sums = below.reshape(*above.shape, -1).sum(axis=-1)
         np.testing.assert_allclose(above, sums, rtol=1e-12)
@@ -256,7 +256,7 @@ def test_a_seeds_draws_do_not_depend_on_other_seeds(capacity: int) -> None:
     for of_several, drawn in zip(several, one, strict=True):
         assert torch.equal(of_several[1], drawn[0])
     state, of_alone = among.state_dict(), alone.state_dict()
-    for found, expected in zip(state["_levels"], of_alone["_levels"], strict=True):
+    for found, expected in zip(state["levels"], of_alone["levels"], strict=True):
         assert torch.equal(found[1], expected[0])
     assert torch.equal(state["_highest"][1], of_alone["_highest"][0])
 
