@@ -24,6 +24,7 @@ from pathlib import Path
 import torch
 from bench.growth import growth, start_up
 from bench.loops import SETTINGS, dqn, ril_together
+from bench.policies import ppo_and_gail
 from bench.projection import projection
 from bench.runs import prioritized, whole_runs
 from bench.updates import measured as updates
@@ -65,6 +66,8 @@ def main() -> None:
     show("Whole loops", of_dqn, "Aims, compiled: 20× at an update per step, 12× at one per four.")
     of_priority = prioritized(rounds, 1000 if quick else 3000)
     show("Prioritized replay", of_priority, "Aim: 0.6×.")
+    of_ppo = ppo_and_gail(rounds, 2000 if quick else 20_000)
+    show("PPO and GAIL", of_ppo, "Aims: 8× with ten seeds (LunarLander 4×), 1.5× with one.")
     of_ril, together = ril_together(rounds, 3 if quick else 10)
     show("Seeds together", of_ril, f"{together:.1f}× (aim: 6×).")
     show("Whole runs", whole_runs(1, 2 if quick else 10))

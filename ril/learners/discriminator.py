@@ -29,7 +29,7 @@ class DiscriminatorConfig:
     learning_rate: float = MISSING
     updates: int = MISSING
     batch_size: int = MISSING
-    reward: str = one_of("positive", "negative")
+    reward: str = one_of("positive", "negative", "logit")
 
 
 def state_action_pairs(observations: Tensor, actions: Tensor, action_count: int) -> Tensor:
@@ -60,14 +60,17 @@ def imitation_reward(logits: Tensor, kind: str) -> Tensor:
     Args:
         logits: (…) for state-action pairs.
         kind: "positive" is −log(1 − D) ≥ 0, which also rewards long episodes; "negative" is
-            log D ≤ 0, which also rewards short ones, for tasks whose episodes end in success.
+            log D ≤ 0, which also rewards short ones, for tasks whose episodes end in success;
+            "logit" is their sum, log D − log(1 − D), which has either sign.
 
     Returns:
         (…).
     """
     if kind == "positive":
         return functional.softplus(logits)
-    return -functional.softplus(-logits)
+    if kind == "negative":
+        return -functional.softplus(-logits)
+    return logits
 
 
 class Discriminator(Stateful):

@@ -1,4 +1,4 @@
-"""Running normalization of observations and rewards, as in Stable-Baselines3's VecNormalize."""
+"""Normalization: running, as in Stable-Baselines3's VecNormalize, or by fixed moments."""
 
 from __future__ import annotations
 
@@ -54,6 +54,28 @@ class RunningMoments(Stateful):
     def deviation(self) -> NDArray[np.float64]:
         """The standard deviation (S, *shape)."""
         return np.sqrt(self.variance + _EPSILON)
+
+
+class Standardization:
+    """Standardizes observations by fixed moments of some states, and clips them to ±10.
+
+    Args:
+        states: (M, obs) the states; a feature that never changes has a deviation of 1.
+
+    Attributes:
+        mean: (obs,).
+        deviation: (obs,).
+    """
+
+    def __init__(self, states: Floats) -> None:
+        self.mean = states.mean(axis=0, dtype=np.float64)
+        spread = states.std(axis=0, dtype=np.float64)
+        self.deviation = np.where(spread > _EPSILON, spread, 1.0)
+
+    def __call__(self, observations: Floats) -> Floats:
+        """Standardize observations (…, obs)."""
+        standardized: Floats = ((observations - self.mean) / self.deviation).clip(-CLIP, CLIP)
+        return standardized.astype(np.float32)
 
 
 class Normalization(Stateful):

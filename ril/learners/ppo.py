@@ -19,7 +19,7 @@ from ril.environments import Floats
 from ril.io.errors import UserError
 from ril.learners.advantages import generalized_advantages
 from ril.learners.exploration import sample_softmax
-from ril.learners.normalization import CLIP, Normalization
+from ril.learners.normalization import CLIP, Normalization, RunningMoments, Standardization
 from ril.learners.topology import tanh_mlp
 from ril.task import Task
 from ril.vectorized.compiling import compile_graph, is_tracing, with_fallback, worth_compiling
@@ -64,7 +64,7 @@ class PPOConfig:
 class Rollout(NamedTuple):
     """T steps in S·K environments."""
 
-    observations: Floats  # (T, S·K, obs), normalized if observations are
+    observations: Floats  # (T, S·K, obs), as the agents see them
     actions: NDArray[np.int64]  # (T, S·K)
     log_probs: Floats  # (T, S·K) log-probabilities of the actions
     values: Floats  # (T, S·K)
@@ -82,6 +82,7 @@ class PPOLearner(Stateful):
         task: environment and seeds.
         total_timesteps: environment steps of each seed, rounded up to whole rollouts.
         normalize: whether to normalize observations and rewards by their running moments.
+        standardize: standardizes observations by fixed moments; not with `normalize`.
         linear_schedule: whether learning rate and clip range fall linearly to 0 over
             `total_timesteps`.
 
@@ -114,6 +115,7 @@ class PPOLearner(Stateful):
         total_timesteps: int,
         *,
         normalize: bool = False,
+        standardize: Standardization | None = None,
         linear_schedule: bool = False,
     ) -> None:
         environment, seeds = task.environment, task.seeds
@@ -131,11 +133,12 @@ class PPOLearner(Stateful):
         self.networks = orthogonal(self._architecture, seeds, "ppo", task.device)
         self._environments = SteppedEnvironments(environment, seeds, config.n_envs, "ppo")
         self._normalization = None
-        architecture: Architecture = actor
+        self._standardize = standardize
         if normalize:
             first = self._environments.observations
             self._normalization = Normalization(first, len(seeds), config.gamma)
-            architecture = Standardized(actor, CLIP)
+        sees_otherwise = normalize or standardize is not None
+        architecture: Architecture = Standardized(actor, CLIP) if sees_otherwise else actor
         flat = torch.empty(len(seeds), parameter_count(architecture), device=task.device)
         self.policy = Network(architecture, flat)
         self._update_policy()
@@ -161,9 +164,7 @@ class PPOLearner(Stateful):
         """
         uniform = torch.from_numpy(self._sampling.uniform(self.config.n_steps, self.config.n_envs))
         by_step = uniform.to(self._device).transpose(0, 1).contiguous()
-        observations = self._environments.observations
-        if self._normalization is not None:
-            observations = self._normalization.observations(observations)
+        observations = self._seen(self._environments.observations)
         steps = []
         final_values = {}  # of the steps in which the step limit truncated an episode
         for t, numbers in enumerate(by_step.unbind()):
@@ -172,13 +173,11 @@ class PPOLearner(Stateful):
             following, rewards = self._environments.observations, step.rewards
             if self._normalization is not None:
                 self._normalization.update(following, rewards)
-                following = self._normalization.observations(following)
                 rewards = self._normalization.rewards(rewards)
                 self._normalization.end(step.terminated | step.truncated)
+            following = self._seen(following)
             if step.truncated.any():
-                final = step.next_observations
-                if self._normalization is not None:
-                    final = self._normalization.observations(final)
+                final = self._seen(step.next_observations)
                 final_values[t] = self._answers(final, numbers)[2]
             ends = step.terminated, step.truncated
             steps.append((observations, actions, log_probs, values, rewards, *ends))
@@ -192,6 +191,12 @@ class PPOLearner(Stateful):
         self._rollout = Rollout._make((*played, next_values))
         self.steps += self.rollout_steps
         return self._by_seed(self._rollout.observations), self._by_seed(self._rollout.actions)
+
+    def _seen(self, observations: Floats) -> Floats:
+        """Return scaled observations (S·K, obs) as the agents see them."""
+        if self._normalization is not None:
+            return self._normalization.observations(observations)
+        return observations if self._standardize is None else self._standardize(observations)
 
     def _answers(
         self, observations: Floats, uniform: Tensor
@@ -343,9 +348,11 @@ class PPOLearner(Stateful):
         """Copy the actors, and the normalization of their inputs, to `policy`."""
         actor = parameter_count(self._architecture.actor)
         self.policy.flat[:, -actor:] = self.networks.flat[:, :actor]
+        seen: Standardization | RunningMoments | None = self._standardize
         if self._normalization is not None:
             seen = self._normalization.seen
-            moments = torch.from_numpy(np.concatenate((seen.mean, seen.deviation), axis=1))
+        if seen is not None:
+            moments = torch.from_numpy(np.concatenate((seen.mean, seen.deviation), axis=-1))
             self.policy.flat[:, :-actor] = moments.to(self.policy.flat)
 
     def _by_seed(self, array: NDArray[Any]) -> Tensor:

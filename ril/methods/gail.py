@@ -13,6 +13,7 @@ from ril.config.fields import part
 from ril.config.schema import MethodConfig
 from ril.demonstrations.trajectories import LabeledTransitions
 from ril.learners.discriminator import Discriminator, DiscriminatorConfig, state_action_pairs
+from ril.learners.normalization import Standardization
 from ril.learners.ppo import PPOConfig, PPOLearner
 from ril.learners.topology import tanh_mlp
 from ril.methods.base import Progress
@@ -28,6 +29,7 @@ class GAILConfig(MethodConfig):
     """Settings of GAIL: `conf/method/gail.yaml`."""
 
     total_timesteps: int = MISSING
+    standardize: bool = MISSING
     discriminator: DiscriminatorConfig = part(DiscriminatorConfig)
     ppo: PPOConfig = part(PPOConfig)
 
@@ -45,7 +47,9 @@ class GAIL(Stateful):
     def __init__(self, config: GAILConfig, task: Task) -> None:
         assert isinstance(task.expert, LabeledTransitions)
         environment, seeds = task.environment, task.seeds
-        self.learner = PPOLearner(config.ppo, task, config.total_timesteps)
+        states = task.expert.observations
+        standardize = Standardization(states) if config.standardize else None
+        self.learner = PPOLearner(config.ppo, task, config.total_timesteps, standardize=standardize)
         self.policy = self.learner.policy
         self.epochs = self.learner.rollouts
         features = environment.observation_size + environment.action_count
@@ -56,8 +60,9 @@ class GAIL(Stateful):
             Streams(seeds, "discriminator batches"),
         )
         self._actions = environment.action_count
-        states, actions = map(torch.from_numpy, (task.expert.observations, task.expert.actions))
-        self._expert = state_action_pairs(states, actions, self._actions).to(task.device)
+        seen = states if standardize is None else standardize(states)
+        pairs = torch.from_numpy(seen), torch.from_numpy(task.expert.actions)
+        self._expert = state_action_pairs(*pairs, self._actions).to(task.device)
         self.epoch = 0
 
     def train(self) -> Iterator[Progress]:

@@ -69,7 +69,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "labels": ("argmax", "sample"),
     "memory": ("run", "epoch", "none"),
     "loss": ("huber", "mse"),
-    "reward": ("positive", "negative"),
+    "reward": ("positive", "negative", "logit"),
     "changes": ("raw", "scaled", "standardized"),
     "compile": ("auto", True, False),
 }

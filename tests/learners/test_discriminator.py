@@ -80,6 +80,11 @@ def test_a_positive_reward_is_the_log_of_what_is_left() -> None:
     torch.testing.assert_close(imitation_reward(GRID, "positive"), -(1 - D).log())
 
 
+def test_a_logit_is_the_sum_of_both_rewards() -> None:
+    expected = imitation_reward(GRID, "positive") + imitation_reward(GRID, "negative")
+    torch.testing.assert_close(imitation_reward(GRID, "logit"), expected)
+
+
 def test_a_negative_reward_is_the_log_of_the_chance() -> None:
     torch.testing.assert_close(imitation_reward(GRID, "negative"), D.log())
 
@@ -89,7 +94,7 @@ def test_a_reward_has_the_sign_of_its_name(kind: str, sign: int) -> None:
     assert (sign * imitation_reward(GRID, kind) > 0).all()
 
 
-@pytest.mark.parametrize("kind", ["positive", "negative"])
+@pytest.mark.parametrize("kind", ["positive", "negative", "logit"])
 def test_what_is_more_like_the_expert_is_paid_more(kind: str) -> None:
     assert (imitation_reward(GRID, kind).diff() > 0).all()
 

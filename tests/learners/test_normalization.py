@@ -10,7 +10,7 @@ import pytest
 from helpers.states import assert_equal_states, copied
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from ril.learners.normalization import Normalization
+from ril.learners.normalization import Normalization, Standardization
 
 SEEDS, COPIES, SIZE, STEPS = 3, 5, 2, 60
 GAMMA = 0.9
@@ -108,3 +108,22 @@ def test_a_loaded_state_resumes_bit_identically(first: np.ndarray) -> None:
         if step == 5:
             resumed.load_state_dict(copied(one.state_dict()))
     assert_equal_states(resumed.state_dict(), one.state_dict())
+
+
+def test_standardized_states_have_mean_0_and_deviation_1() -> None:
+    states = np.random.default_rng(0).normal((3, -1), (0.5, 0.01), (200, 2)).astype(np.float32)
+    found = Standardization(states)(states)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found.mean(axis=0), 0, atol=1e-4)
+    np.testing.assert_allclose(found.std(axis=0), 1, rtol=1e-4)
+
+
+def test_a_far_state_is_clipped() -> None:
+    standardize = Standardization(np.array([[0, 1], [2, 5]], dtype=np.float32))
+    assert standardize(np.array([[4, 3], [1e3, -1e3]], np.float32)).tolist() == [[3, 0], [10, -10]]
+
+
+def test_a_feature_that_never_changes_is_only_centered() -> None:
+    standardize = Standardization(np.array([[0, 0.1]] * 3 + [[2, 0.1]] * 3, dtype=np.float32))
+    found = standardize(np.array([[1, 0.1], [1, 1.1]], dtype=np.float32))
+    np.testing.assert_allclose(found, [[0, 0], [0, 1]], atol=1e-6)

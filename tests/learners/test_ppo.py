@@ -22,6 +22,7 @@ from ril.config.schema import AblationConfig, Config
 from ril.demonstrations.trajectories import StateTransitions
 from ril.environments import Environment, load_environment
 from ril.io.errors import UserError
+from ril.learners.normalization import Standardization
 from ril.learners.ppo import PPOConfig, PPOLearner, Rollout, orthogonal
 from ril.task import Task
 from ril.vectorized.networks import MLP, ActorCritic
@@ -59,7 +60,7 @@ def learner(
     total: int = 10_000,
     *,
     compiled: bool = False,
-    **options: bool,
+    **options: Any,
 ) -> PPOLearner:
     nothing = StateTransitions.none(environment)
     task = Task(environment, nothing, seeds, AblationConfig(), CPU, compiled)
@@ -433,6 +434,27 @@ def test_what_is_collected_begins_where_the_last_rollout_ended(cartpole: Environ
             np.testing.assert_array_equal(observations[:, now].flatten(0, 1), stepped.observations)
             stepped.step(actions[:, now].flatten().numpy())
         one.improve()
+
+
+def test_standardized_observations_are_what_the_agents_and_the_saved_policy_see(
+    mountaincar: Environment,
+) -> None:
+    states = SteppedEnvironments(mountaincar, SEEDS, 2, "other").observations
+    standardize = Standardization(states)
+    one = learner(mountaincar, config(n_steps=210, batch_size=20), standardize=standardize)
+    stepped = SteppedEnvironments(mountaincar, SEEDS, 2, "ppo")
+    for _ in range(2):
+        observations, actions = one.collect()
+        for step in range(210):
+            now = slice(2 * step, 2 * step + 2)
+            expected = standardize(stepped.observations)
+            np.testing.assert_array_equal(observations[:, now].flatten(0, 1), expected)
+            stepped.step(actions[:, now].flatten().numpy())
+        one.improve()
+    x = torch.from_numpy(stepped.observations).view(2, 2, -1)
+    seen = torch.from_numpy(standardize(stepped.observations)).view(2, 2, -1)
+    actors = one.networks.architecture.forward(one.networks.parameters, seen)
+    torch.testing.assert_close(one.policy(x), actors, rtol=1e-4, atol=1e-5)
 
 
 def test_actions_follow_the_policy(cartpole: Environment) -> None:

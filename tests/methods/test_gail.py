@@ -10,6 +10,7 @@ from helpers.references import Adam, copies_of, flat_of
 from torch.nn import functional
 
 from ril.config.schema import Config
+from ril.learners.normalization import Standardization
 from ril.learners.ppo import PPOConfig, PPOLearner
 from ril.methods.gail import GAIL
 from ril.task import Task
@@ -43,22 +44,26 @@ def paid(monkeypatch: pytest.MonkeyPatch) -> list[torch.Tensor]:
     return given
 
 
-@pytest.mark.parametrize("kind", ["positive", "negative"])
+@pytest.mark.parametrize("standardize", [False, True])
+@pytest.mark.parametrize("kind", ["positive", "negative", "logit"])
 def test_a_round_is_rollout_discriminator_rewards_and_policy(
-    make: Any, paid: list[torch.Tensor], kind: str
+    make: Any, paid: list[torch.Tensor], kind: str, standardize: bool
 ) -> None:
-    reward = f"method.discriminator.reward={kind}"
-    method, task = make(reward)
-    begun, _ = make(reward)
+    settings = f"method.discriminator.reward={kind}", f"method.standardize={standardize}"
+    method, task = make(*settings)
+    begun, _ = make(*settings)
     modules = copies_of(begun.discriminator.network)
     epochs = method.train()
     metrics = [next(epochs).metrics for _ in range(2)]
 
     states, actions = map(torch.from_numpy, (task.expert.observations, task.expert.actions))
+    moments = Standardization(task.expert.observations) if standardize else None
+    if standardize:
+        states = (states - states.mean(dim=0)) / states.std(dim=0, correction=0)
     expert = torch.cat((states, torch.eye(2)[actions]), dim=1)
     streams = Streams(task.seeds, "discriminator batches")
     optimizers = [Adam(module, 1e-3, None) for module in modules]
-    learner = PPOLearner(PPO, task, 256)
+    learner = PPOLearner(PPO, task, 256, standardize=moments)
     rewards = list(paid)
     for epoch in range(2):
         drawn = streams.uniform(4, 2, 16)
@@ -74,7 +79,9 @@ def test_a_round_is_rollout_discriminator_rewards_and_policy(
                 loss = loss + functional.binary_cross_entropy_with_logits(theirs, zeros)
                 optimizers[seed].step(loss)
             d = module(pairs)[:, 0].sigmoid().detach()
-            expected = -(1 - d).log() if kind == "positive" else d.log()
+            positive, negative = -(1 - d).log(), d.log()
+            given = {"positive": positive, "negative": negative, "logit": positive + negative}
+            expected = given[kind]
             found = rewards[epoch][seed]
             np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-5)
             mean = metrics[epoch]["imitation_reward"][seed]
@@ -112,10 +119,10 @@ def test_expert_samples_count_the_expert_once_per_round(make: Any) -> None:
     ("env", "kind"),
     [
         ("cartpole", "positive"),
-        ("lunarlander", "positive"),
+        ("lunarlander", "logit"),
         ("mountaincar", "negative"),
         ("acrobot", "negative"),
     ],
 )
-def test_where_success_ends_an_episode_a_step_costs(compose: Any, env: str, kind: str) -> None:
+def test_the_reward_has_the_sign_of_what_ends_an_episode(compose: Any, env: str, kind: str) -> None:
     assert compose(f"env={env}", "method=gail").method.discriminator.reward == kind

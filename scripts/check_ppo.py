@@ -1,0 +1,198 @@
+"""Compare `method=ppo` with Stable-Baselines3's PPO, with the same value of every key.
+
+    python scripts/check_ppo.py run env=cartpole method.total_timesteps=100_000
+    python scripts/check_ppo.py run env=mountaincar method.total_timesteps=200_000
+    python scripts/check_ppo.py show
+
+`run` trains ten seeds of each, and writes their greedy returns after a quarter, half and all of the
+budget to docs/checks/ppo_<env>.csv, a row as soon as a seed is finished. The same command resumes
+with the seeds that have no row. `show` prints the comparison in docs/checks/README.md.
+"""
+
+from __future__ import annotations
+
+import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torch
+
+# isort: split
+
+import csv
+import math
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from matched_dqn import composed, make_scaled
+from matched_ppo import stable_baselines_ppo
+from scipy.stats import permutation_test, ttest_ind
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+
+from ril.config.schema import Config
+from ril.environments import Environment, load_environment
+from ril.methods.ppo import PPOMethodConfig
+from ril.run.prepare import prepare
+from ril.vectorized.evaluation import Evaluation
+
+CHECKS = Path(__file__).resolve().parents[1] / "docs" / "checks"
+SEEDS = tuple(range(100, 110))
+SHARES = 0.25, 0.5, 1  # of the budget; policies are scored after each
+EPISODES, COPIES = 100, 20
+RETURNS = tuple(f"return_{100 * share:.0f}" for share in SHARES)
+COLUMNS = ("learner", "seed", "total_timesteps", *RETURNS)
+
+
+def rollouts(config: PPOMethodConfig) -> list[int]:
+    """Return the numbers of the rollouts after whose updates policies are scored."""
+    total = math.ceil(config.total_timesteps / (config.ppo.n_envs * config.ppo.n_steps))
+    return [round(share * total) for share in SHARES]
+
+
+def by_ril(config: Config, ends: Sequence[int]) -> list[list[float]]:
+    """Train all seeds with ril; return their mean returns after some rollouts, a row per seed."""
+    cell = prepare(config)
+    method, evaluation = cell.build_method(), Evaluation(cell.environment, config.seeds)
+    assert method is not None
+    returns = [
+        evaluation.returns(method.policy, EPISODES, f"check {progress.epoch}").mean(axis=1)
+        for progress in method.train()
+        if progress.epoch in ends
+    ]
+    rows: list[list[float]] = np.stack(returns, axis=1).tolist()
+    return rows
+
+
+class Scores(BaseCallback):
+    """Score the policy of Stable-Baselines3 after the updates on some rollouts."""
+
+    def __init__(self, environment: Environment, ends: Sequence[int], seed: int) -> None:
+        super().__init__()
+        self.ends = ends
+        self.rollouts = 0
+        self.returns: list[float] = []
+        self.copies: VecEnv = make_vec_env(
+            lambda: make_scaled(environment), COPIES, seed=1000 * seed
+        )
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:  # after the updates on the last one
+        self._score()
+
+    def _on_rollout_end(self) -> None:
+        self.rollouts += 1
+
+    def _on_training_end(self) -> None:
+        self._score()
+
+    def _score(self) -> None:
+        if self.rollouts not in self.ends:
+            return
+        copies = self.copies
+        trained = self.model.get_vec_normalize_env()
+        if trained is not None:
+            copies = VecNormalize(copies, training=False, norm_reward=False)
+            copies.obs_rms = trained.obs_rms
+        mean, _ = evaluate_policy(self.model, copies, EPISODES, deterministic=True)
+        assert isinstance(mean, float)
+        self.returns.append(mean)
+
+
+def run(overrides: list[str]) -> None:
+    """Train every seed that has no row yet."""
+    config = composed("method=ppo", f"seeds={list(SEEDS)}", *overrides)
+    method = config.method
+    assert isinstance(method, PPOMethodConfig)
+    environment, total, ends = (
+        load_environment(config.env),
+        method.total_timesteps,
+        rollouts(method),
+    )
+    path = CHECKS / f"ppo_{config.env.name}.csv"
+    done = set()
+    if path.exists():
+        rows = pd.read_csv(path)
+        done = set(zip(rows["learner"], rows["seed"], rows["total_timesteps"], strict=True))
+    with path.open("a", newline="") as file:
+        writer = csv.writer(file)
+        if file.tell() == 0:
+            writer.writerow(COLUMNS)
+
+        def write(learner: str, seed: int, returns: list[float]) -> None:
+            writer.writerow((learner, seed, total, *(f"{value:.2f}" for value in returns)))
+            file.flush()
+
+        if not {("ril", seed, total) for seed in SEEDS} <= done:
+            started = time.perf_counter()
+            for seed, returns in zip(SEEDS, by_ril(config, ends), strict=True):
+                write("ril", seed, returns)
+            print(f"ril: {time.perf_counter() - started:.0f} s for {len(SEEDS)} seeds", flush=True)
+        for seed in SEEDS:
+            if ("sb3", seed, total) in done:
+                continue
+            started = time.perf_counter()
+            scores = Scores(environment, ends, seed)
+            model = stable_baselines_ppo(method.ppo, lambda: make_scaled(environment), seed)
+            model.learn(total, scores)
+            write("sb3", seed, scores.returns)
+            print(f"sb3: {time.perf_counter() - started:.0f} s for seed {seed}", flush=True)
+
+
+def difference(ours: pd.Series, theirs: pd.Series) -> str:
+    """Format the difference of two means, and its 95 % interval by Welch's test."""
+    value = ours.mean() - theirs.mean()
+    if ours.nunique() == theirs.nunique() == 1:
+        return f"{value:.1f}"
+    interval = ttest_ind(ours, theirs, equal_var=False).confidence_interval()
+    return f"{value:.1f} [{interval.low:.1f}, {interval.high:.1f}]"
+
+
+def exact_p(ours: pd.Series, theirs: pd.Series) -> float:
+    """Compute p of the permutation test of equal means, over all divisions of the seeds."""
+
+    def distance(a: Any, b: Any, axis: int) -> Any:
+        # Rounded, so that equal sums in another order count as equal.
+        return np.abs(np.mean(a, axis=axis) - np.mean(b, axis=axis)).round(9)
+
+    test = permutation_test(
+        (ours, theirs), distance, vectorized=True, n_resamples=np.inf, alternative="greater"
+    )
+    return float(test.pvalue)
+
+
+def show() -> None:
+    """Print means and standard deviations over seeds, their differences, and exact p-values."""
+    for path in sorted(CHECKS.glob("ppo_*.csv")):
+        rows = pd.read_csv(path)
+        total = int(rows["total_timesteps"].iloc[0])
+        heads = [f"{share * total:,.0f} steps" for share in SHARES]
+        print(f"\n| {path.stem.removeprefix('ppo_')} | " + " | ".join(heads) + " |")
+        print("|---" * (len(SHARES) + 1) + "|")
+        ours, theirs = (rows.loc[rows["learner"] == name] for name in ("ril", "sb3"))
+        for name, side in (("`method=ppo`", ours), ("Stable-Baselines3", theirs)):
+            cells = [f"{side[c].mean():.1f} ± {side[c].std(ddof=0):.1f}" for c in RETURNS]
+            print(f"| {name} ({len(side)} seeds) | " + " | ".join(cells) + " |")
+            cells = [", ".join(f"{q:.0f}" for q in side[c].quantile([0, 0.5, 1])) for c in RETURNS]
+            print("| lowest, median, highest | " + " | ".join(cells) + " |")
+        cells = [difference(ours[c], theirs[c]) for c in RETURNS]
+        print("| difference, 95 % interval | " + " | ".join(cells) + " |")
+        cells = [f"{exact_p(ours[c], theirs[c]):.2f}" for c in RETURNS]
+        print("| p of a permutation test | " + " | ".join(cells) + " |")
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    match sys.argv[1:]:
+        case ["run", *overrides]:
+            run(overrides)
+        case ["show"]:
+            show()
+        case _:
+            sys.exit(__doc__)
