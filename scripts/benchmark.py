@@ -10,6 +10,10 @@ together make ten at a time, Stable-Baselines3 makes one.
 
 from __future__ import annotations
 
+import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torch
+
+# isort: split
+
 import argparse
 import platform
 import re
