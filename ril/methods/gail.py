@@ -29,7 +29,7 @@ class GAILConfig(MethodConfig):
     """Settings of GAIL: `conf/method/gail.yaml`."""
 
     total_timesteps: int = MISSING
-    standardize: bool = MISSING
+    standardize_states: bool = MISSING
     discriminator: DiscriminatorConfig = part(DiscriminatorConfig)
     ppo: PPOConfig = part(PPOConfig)
 
@@ -48,7 +48,7 @@ class GAIL(Stateful):
         assert isinstance(task.expert, LabeledTransitions)
         environment, seeds = task.environment, task.seeds
         states = task.expert.observations
-        standardize = Standardization(states) if config.standardize else None
+        standardize = Standardization(states) if config.standardize_states else None
         self.learner = PPOLearner(config.ppo, task, config.total_timesteps, standardize=standardize)
         self.policy = self.learner.policy
         self.epochs = self.learner.rollouts

@@ -49,7 +49,7 @@ def paid(monkeypatch: pytest.MonkeyPatch) -> list[torch.Tensor]:
 def test_a_round_is_rollout_discriminator_rewards_and_policy(
     make: Any, paid: list[torch.Tensor], kind: str, standardize: bool
 ) -> None:
-    settings = f"method.discriminator.reward={kind}", f"method.standardize={standardize}"
+    settings = f"method.discriminator.reward={kind}", f"method.standardize_states={standardize}"
     method, task = make(*settings)
     begun, _ = make(*settings)
     modules = copies_of(begun.discriminator.network)
