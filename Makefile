@@ -9,7 +9,7 @@ endif
 endif
 PIP := $(BIN)/pip install --quiet --constraint constraints.txt
 
-.PHONY: help run test quick coverage lint bench docs results install clean
+.PHONY: help run test quick coverage lint bench docs results digits install clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,6 +40,9 @@ docs: .venv/docs ## build the documentation in site/
 
 results: install ## write docs/results.md and the README's figure from outputs/reference/
 	$(BIN)/ril-report results --outputs outputs/reference --to docs
+
+digits: install ## write tests/run/digits.json, after a change that is meant to change digits
+	PYTHONPATH=tests $(BIN)/python -m helpers.digits
 
 install: .venv/installed ## set up .venv; PYTHON=... chooses the interpreter
 
