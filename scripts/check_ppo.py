@@ -1,7 +1,7 @@
 """Compare `method=ppo` with Stable-Baselines3's PPO, with the same value of every key.
 
     python scripts/check_ppo.py run env=cartpole method.total_timesteps=100_000
-    python scripts/check_ppo.py run env=mountaincar method.total_timesteps=200_000
+    python scripts/check_ppo.py run env=mountaincar method.total_timesteps=100_000
     python scripts/check_ppo.py show
 
 `run` trains ten seeds of each, and writes their greedy returns after a quarter, half and all of the
@@ -155,7 +155,7 @@ def difference(ours: pd.Series, theirs: pd.Series) -> str:
         return f"{value:.1f}"
     freedom = total**2 / sum(square**2 / degrees for square, degrees in squares)
     margin = math.sqrt(total) * student.ppf(0.975, freedom)
-    return f"{value:.1f} [{value - margin:.1f}, {value + margin:.1f}]".replace("-", "−")
+    return f"{value:.1f} [{value - margin:.1f}, {value + margin:.1f}]"
 
 
 def exact_p(ours: pd.Series, theirs: pd.Series) -> float:
@@ -180,15 +180,18 @@ def show() -> None:
         print(f"\n| {path.stem.removeprefix('ppo_')} | " + " | ".join(heads) + " |")
         print("|---" * (len(SHARES) + 1) + "|")
         ours, theirs = (rows.loc[rows["learner"] == name] for name in ("ril", "sb3"))
+        lines: list[tuple[str, list[str]]] = []
         for name, side in (("`method=ppo`", ours), ("Stable-Baselines3", theirs)):
             cells = [f"{side[c].mean():.1f} ± {side[c].std(ddof=0):.1f}" for c in RETURNS]
-            print(f"| {name} ({len(side)} seeds) | " + " | ".join(cells) + " |")
+            lines.append((f"{name} ({len(side)} seeds)", cells))
             cells = [", ".join(f"{q:.0f}" for q in side[c].quantile([0, 0.5, 1])) for c in RETURNS]
-            print("| lowest, median, highest | " + " | ".join(cells) + " |")
+            lines.append(("lowest, median, highest", cells))
         cells = [difference(ours[c], theirs[c]) for c in RETURNS]
-        print("| difference, 95 % interval | " + " | ".join(cells) + " |")
+        lines.append(("difference, 95 % interval", cells))
         cells = [f"{exact_p(ours[c], theirs[c]):.2f}" for c in RETURNS]
-        print("| p of a permutation test | " + " | ".join(cells) + " |")
+        lines.append(("p of a permutation test", cells))
+        for name, cells in lines:
+            print(f"| {name} | " + " | ".join(cells).replace("-", "−") + " |")
 
 
 if __name__ == "__main__":
