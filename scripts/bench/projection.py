@@ -42,6 +42,8 @@ def hours(name: str, trajectories: int, env: str) -> float:
     method, evaluation = cell.build_method(), Evaluation(cell.environment, config.seeds)
     progress = method.train()
     first_epoch = seconds(lambda: next(progress))
+    if name == SECOND_HALF:  # its own first epoch, in which its updates are compiled, is the second
+        first_epoch += seconds(lambda: next(progress))
     each = _pace(progress)
     settings = config.evaluation
     evaluations = math.ceil(method.epochs / settings.interval(method.epochs))
