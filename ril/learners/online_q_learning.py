@@ -133,14 +133,15 @@ class OnlineQLearning(Stateful):
             Diagnostics by name, (S,) each; NaN without any update, or before a first episode ends.
         """
         uniform = self._exploration.uniform(until - self.steps, 2).transpose(1, 2, 0)
-        numbers = torch.from_numpy(np.ascontiguousarray(uniform)[..., None]).to(self._device)
+        choices = torch.from_numpy(np.ascontiguousarray(uniform)[..., None]).to(self._device)
         chances = torch.from_numpy(np.ascontiguousarray(epsilon)).to(self._device)
         losses = [torch.full((len(epsilon[0]),), torch.nan)]
         stored: list[int] = []  # slots of new transitions, not yet given their priority
         updates = self.config.updates
         trainings = sum(map(self._is_due, range(self.steps + 1, until + 1)))
-        minibatches = iter(self.learner.draw(trainings * updates).split(updates))
-        for chance, of_step in zip(chances.unbind(), numbers.unbind(), strict=True):
+        numbers = self.learner.draw(trainings * updates)
+        minibatches = iter(numbers.view(trainings, updates, *numbers.shape[1:]).unbind())
+        for chance, of_step in zip(chances.unbind(), choices.unbind(), strict=True):
             stored.append(self._act(chance, of_step))
             self.steps += 1
             if self._is_due(self.steps):
