@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from omegaconf import MISSING
+from torch import Tensor
 
 from ril.config.fields import at_least, part, within
-from ril.environments import Floats, Integers
 from ril.io.errors import UserError
-from ril.learners.exploration import sample_softmax
+from ril.learners.acting import acting
 from ril.learners.q_learning import QLearning, TargetNetworkConfig
 from ril.task import Task
 from ril.vectorized.compiling import worth_compiling
@@ -88,16 +88,17 @@ class OnlineQLearning(Stateful):
     ) -> None:
         self.config = config
         self.policy = policy
-        self.kind = kind
         self.total_steps = total_steps
         self.steps = 0
         environment, seeds, replay = task.environment, task.seeds, config.replay
+        self._device = task.device
         if replay.capacity is None:
             raise UserError(
                 "method.q_learning.replay.capacity=null: must be a number of transitions"
             )
         self._environments = SteppedEnvironments(environment, seeds, 1, "online q-learning")
         updates = config.updates * (total_steps // config.train_freq)
+        compiled = worth_compiling(task.compile, updates)
         priorities = None
         if replay.alpha > 0:
             priorities = Priorities(len(seeds), replay.capacity, replay.alpha, task.device)
@@ -114,9 +115,9 @@ class OnlineQLearning(Stateful):
             Streams(seeds, "replay batches"),
             priorities=priorities,
             double=config.double,
-            compile_step=worth_compiling(task.compile, updates),
+            compile_step=compiled,
         )
-        self._action_count = environment.action_count
+        self._choose = acting(policy, kind, compiled=compiled)
         self._exploration = Streams(seeds, purpose)
         self._returns = np.zeros(len(seeds))  # of the current episodes, so far
         self._last_returns = np.full(len(seeds), np.nan)  # of the last finished ones
@@ -131,17 +132,21 @@ class OnlineQLearning(Stateful):
         Returns:
             Diagnostics by name, (S,) each; NaN without any update, or before a first episode ends.
         """
-        chance, choice = self._exploration.uniform(until - self.steps, 2).transpose(2, 1, 0)
-        explores = chance < epsilon
+        uniform = self._exploration.uniform(until - self.steps, 2).transpose(1, 2, 0)
+        choices = torch.from_numpy(np.ascontiguousarray(uniform)[..., None]).to(self._device)
+        chances = torch.from_numpy(np.ascontiguousarray(epsilon)).to(self._device)
         losses = [torch.full((len(epsilon[0]),), torch.nan)]
         stored: list[int] = []  # slots of new transitions, not yet given their priority
-        for exploring, number in zip(explores, choice, strict=True):
-            stored.append(self._act(exploring, number))
+        updates = self.config.updates
+        trainings = sum(map(self._is_due, range(self.steps + 1, until + 1)))
+        numbers = self.learner.draw(trainings * updates)
+        minibatches = iter(numbers.view(trainings, updates, *numbers.shape[1:]).unbind())
+        for chance, of_step in zip(chances.unbind(), choices.unbind(), strict=True):
+            stored.append(self._act(chance, of_step))
             self.steps += 1
-            due = self.steps % self.config.train_freq == 0
-            if due and self.steps > self.config.learning_starts:
+            if self._is_due(self.steps):
                 self._prioritize(stored)
-                losses.append(self.learner.train(self.config.updates, self._beta()).cpu())
+                losses.append(self.learner.train_on(next(minibatches), self._beta()).cpu())
         self._prioritize(stored)
         return {
             "td_loss": torch.stack(losses, dim=1).nanmean(dim=1).double().numpy(),
@@ -149,15 +154,19 @@ class OnlineQLearning(Stateful):
             "epsilon": epsilon[-1],
         }
 
-    def _act(self, exploring: NDArray[np.bool_], number: NDArray[np.float32]) -> int:
+    def _is_due(self, steps: int) -> bool:
+        """Return whether the agents train after so many steps."""
+        return steps % self.config.train_freq == 0 and steps > self.config.learning_starts
+
+    def _act(self, epsilon: Tensor, uniform: Tensor) -> int:
         """Step every seed's environment once, store the transitions, and return their slot.
 
         Args:
-            exploring: (S,) whether to explore.
-            number: (S,) random numbers in [0, 1) that choose the exploring actions.
+            epsilon: (S,) probabilities to explore.
+            uniform: (2, S, 1) random numbers in [0, 1), as for `epsilon_greedy`.
         """
         before = self._environments.observations
-        actions = self._choose(before, exploring, number)
+        actions = self._choose(before, epsilon, uniform)
         step = self._environments.step(actions)
         slot = self.learner.replay.add(
             before, actions, step.rewards, step.next_observations, step.terminated
@@ -172,24 +181,9 @@ class OnlineQLearning(Stateful):
     def _prioritize(self, stored: list[int]) -> None:
         """Give new transitions their priority, all at once, and clear the list of their slots."""
         if self.learner.priorities is not None and stored:
-            slots = torch.tensor(stored, device=self.policy.flat.device)
+            slots = torch.tensor(stored, device=self._device)
             self.learner.priorities.add(slots.expand(len(self._returns), -1))
         stored.clear()
-
-    def _choose(
-        self, observations: Floats, exploring: NDArray[np.bool_], number: NDArray[np.float32]
-    ) -> Integers:
-        """Choose actions (S,): greedy ones, or random ones where `exploring`."""
-        values = self.policy.infer(observations)[:, 0]
-        greedy: Integers = values.argmax(dim=-1).cpu().numpy()
-        if not exploring.any():
-            return greedy
-        if self.kind == "uniform":
-            other = (number * self._action_count).astype(np.int64)
-        else:
-            uniform = torch.from_numpy(number).to(values.device)
-            other = sample_softmax(values, uniform).cpu().numpy()
-        return np.where(exploring, other, greedy)
 
     def _beta(self) -> float:
         """Compute β, which rises linearly to 1 (Schaul et al., 2015, §3.4)."""

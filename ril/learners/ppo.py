@@ -22,7 +22,13 @@ from ril.learners.exploration import sample_softmax
 from ril.learners.normalization import CLIP, Normalization, RunningMoments, Standardization
 from ril.learners.topology import tanh_mlp
 from ril.task import Task
-from ril.vectorized.compiling import compile_graph, is_tracing, with_fallback, worth_compiling
+from ril.vectorized.compiling import (
+    LEAST_ROWS,
+    compile_graph,
+    is_tracing,
+    with_fallback,
+    worth_compiling,
+)
 from ril.vectorized.descent import descent
 from ril.vectorized.networks import (
     ActorCritic,
@@ -37,10 +43,6 @@ from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
-
-#: A graph's batches have at least so many rows. With fewer, those of a single seed would not fill a
-#: vector register, and round differently from those of several seeds.
-_LEAST_ROWS = 16
 
 
 @dataclass
@@ -147,7 +149,7 @@ class PPOLearner(Stateful):
         )
         minibatches = config.n_epochs * self.rollout_steps // config.batch_size
         compiled = worth_compiling(task.compile, self.rollouts * minibatches)
-        compiled = compiled and config.batch_size >= _LEAST_ROWS
+        compiled = compiled and config.batch_size >= LEAST_ROWS
         self._descend = descent(self._optimizer, self._loss, compile_step=compiled)
         self._act = self._decide
         if compiled:
@@ -225,7 +227,7 @@ class PPOLearner(Stateful):
         parameters = by_name(self._architecture, flat)
         copies = observations.shape[1]
         if is_tracing():
-            padding = max(0, _LEAST_ROWS - copies)
+            padding = max(0, LEAST_ROWS - copies)
             observations = functional.pad(observations, (0, 0, 0, padding))
             uniform = functional.pad(uniform, (0, padding))
         log_probs = self._architecture.forward(parameters, observations).log_softmax(dim=-1)

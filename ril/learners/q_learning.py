@@ -15,7 +15,7 @@ from ril.learners.td import td_errors, td_losses
 from ril.vectorized.descent import descent, train_on_minibatches
 from ril.vectorized.networks import Network, Parameters, by_name
 from ril.vectorized.priorities import Levels, Priorities, draw, importance
-from ril.vectorized.replay import Batch, Replay, random_indices
+from ril.vectorized.replay import Batch, Replay, indices_below
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
 from ril.vectorized.updates import ClippedAdam
@@ -77,7 +77,7 @@ class QLearning(Stateful):
         self._streams = streams
         self._target = policy.copy() if config.target_interval else policy
         self._optimizer = ClippedAdam(policy, config.learning_rate, config.gradient_clip)
-        loss = self._loss if priorities is None else self._prioritized_loss
+        loss = self._uniform_loss if priorities is None else self._prioritized_loss
         self._descend = descent(self._optimizer, loss, compile_step=compile_step)
 
     def train(self, updates: int, beta: float = 1.0) -> Tensor:
@@ -90,15 +90,21 @@ class QLearning(Stateful):
         Returns:
             (S,) mean loss over the steps, unweighted.
         """
-        config, sizes = self.config, self.replay.sizes
-        device = self.policy.flat.device
-        uniform = self._streams.uniform(updates, config.batch_size)
-        memory = self.replay.everything()
-        drawn, also = random_indices(uniform, sizes), list[Any]()
+        return self.train_on(self.draw(updates), beta)
+
+    def draw(self, updates: int) -> Tensor:
+        """Draw the random numbers (updates, S, B) in [0, 1) that choose minibatches."""
+        uniform = self._streams.uniform(updates, self.config.batch_size)
+        return torch.from_numpy(uniform.swapaxes(0, 1).copy()).to(self.policy.flat.device)
+
+    def train_on(self, uniform: Tensor, beta: float = 1.0) -> Tensor:
+        """Do what `train` does, with numbers (updates, S, B) that `draw` returned."""
+        config, device = self.config, self.policy.flat.device
+        also: list[Any] = [torch.from_numpy(self.replay.sizes).to(device)]
         if self.priorities is not None:
-            drawn = torch.from_numpy(uniform)
             exponent = torch.tensor([beta], dtype=torch.float64, device=device)
-            also = [self.priorities.levels, torch.from_numpy(sizes).to(device), exponent]
+            also += [self.priorities.levels, exponent]
+        memory = self.replay.everything()
 
         def step(of_step: Tensor) -> Tensor:
             if config.target_interval and self._optimizer.steps % config.target_interval == 0:
@@ -109,8 +115,21 @@ class QLearning(Stateful):
                 self.priorities.update(slots, errors)
             return losses.mean(dim=1)
 
-        by_step = drawn.to(device).transpose(0, 1).contiguous()
-        return train_on_minibatches(step, by_step.unbind())
+        return train_on_minibatches(step, uniform.unbind())
+
+    def _uniform_loss(
+        self, parameters: Parameters, target: Tensor, memory: Batch, uniform: Tensor, sizes: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Draw transitions, all equally likely, and compute what `_loss` does.
+
+        Args:
+            parameters: parameters of the policy, by name.
+            target: (S, P) parameters of the target network.
+            memory: (S, N, …) all stored transitions.
+            uniform: (S, B) random numbers in [0, 1).
+            sizes: (S,) filled slots.
+        """
+        return self._loss(parameters, target, memory, indices_below(sizes, uniform))
 
     def _loss(
         self, parameters: Parameters, target: Tensor, memory: Batch, slots: Tensor
@@ -140,8 +159,8 @@ class QLearning(Stateful):
         target: Tensor,
         memory: Batch,
         uniform: Tensor,
-        levels: Levels,
         sizes: Tensor,
+        levels: Levels,
         beta: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Draw transitions by priority, and compute their losses by importance.
@@ -151,8 +170,8 @@ class QLearning(Stateful):
             target: (S, P) parameters of the target network.
             memory: (S, N, …) all stored transitions.
             uniform: (S, B) random numbers in [0, 1).
-            levels: the sum tree of the priorities.
             sizes: (S,) filled slots.
+            levels: the sum tree of the priorities.
             beta: β, (1,).
 
         Returns:

@@ -22,6 +22,10 @@ from ril.io.errors import one_line
 #: bits, and a seed's results must not depend on the other seeds.
 _WORTHWHILE = 15_000
 
+#: A graph's batches have at least so many rows. With fewer, those of a single seed would not fill a
+#: vector register, and round differently from those of several seeds.
+LEAST_ROWS = 16
+
 _tracing = False
 
 #: torch's options that make a graph's digits the same on every machine (`ril.kernels`).

@@ -80,8 +80,5 @@ def train_on_minibatches(step: Callable[..., Tensor], *minibatches: Iterable[Any
     Returns:
         (…, S) mean loss over the steps.
     """
-    total, steps = torch.zeros(()), 0
-    for minibatch in zip(*minibatches, strict=True):
-        total = total + step(*minibatch)
-        steps += 1
-    return total / steps
+    first, *others = [step(*minibatch) for minibatch in zip(*minibatches, strict=True)]
+    return sum(others, first) / (1 + len(others))

@@ -16,8 +16,13 @@ from ril.vectorized.state import Stateful
 
 def random_indices(uniform: NDArray[np.float32], sizes: NDArray[np.int64]) -> Tensor:
     """Turn uniform numbers (S, …) in [0, 1) into indices (S, …) below each seed's size (S,)."""
-    ceiling = sizes.reshape(-1, *[1] * (uniform.ndim - 1))
-    return torch.from_numpy(np.minimum((uniform * ceiling).astype(np.int64), ceiling - 1))
+    return indices_below(torch.from_numpy(sizes), torch.from_numpy(uniform))
+
+
+def indices_below(sizes: Tensor, uniform: Tensor) -> Tensor:
+    """Turn uniform numbers (S, …) in [0, 1) into indices (S, …) below each seed's size (S,)."""
+    ceiling = sizes.view(-1, *[1] * (uniform.ndim - 1))
+    return torch.minimum((uniform.double() * ceiling).long(), ceiling - 1)
 
 
 def gather_by_seed(values: Tensor, indices: Tensor) -> Tensor:

@@ -37,9 +37,10 @@ def make(quick: Any, make_task: Callable[[Config], Task]) -> Make:
         kind: str = "uniform",
         seeds: tuple[int, ...] = SEEDS,
         total_steps: int = TOTAL,
+        compiled: bool = False,
     ) -> OnlineQLearning:
         config = quick("method=dqn", f"method.q_learning.replay.capacity={CAPACITY}", *overrides)
-        task = dataclasses.replace(make_task(config), seeds=seeds)
+        task = dataclasses.replace(make_task(config), seeds=seeds, compile=compiled)
         environment = task.environment
         architecture = MLP(environment.observation_size, (8,), environment.action_count)
         policy = Network.initialize(architecture, seeds, "policy", task.device)
@@ -61,8 +62,10 @@ def falling(steps: int, seeds: int = 2) -> np.ndarray:
 class PlainDQN:
     """One seed of DQN, one step after another: gymnasium, a list as memory, torch.nn modules."""
 
-    def __init__(self, online: OnlineQLearning, environment: Environment, index: int) -> None:
-        self.config, self.kind = online.config, online.kind
+    def __init__(
+        self, online: OnlineQLearning, kind: str, environment: Environment, index: int
+    ) -> None:
+        self.config, self.kind = online.config, kind
         self.environment, self.copy = environment, environment.make()
         self.seed = SEEDS[index]
         self.policy, self.target = copies_of(online.policy)[index], copies_of(online.policy)[index]
@@ -153,7 +156,7 @@ def both(
     name, kind = request.param
     online = make(*SETTINGS[name], kind=kind)
     environment = environments["mountaincar" if name == "mountaincar" else "cartpole"]
-    plain = [PlainDQN(online, environment, index) for index in range(len(SEEDS))]
+    plain = [PlainDQN(online, kind, environment, index) for index in range(len(SEEDS))]
     epsilon = falling(TOTAL)
     actions = []
     step = online._environments.step
@@ -222,11 +225,11 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, float]]:
     """The number of updates and the β of each call."""
     asked: list[tuple[int, float]] = []
 
-    def train(self: QLearning, updates: int, beta: float = 1.0) -> torch.Tensor:
-        asked.append((updates, beta))
+    def train_on(self: QLearning, uniform: torch.Tensor, beta: float = 1.0) -> torch.Tensor:
+        asked.append((len(uniform), beta))
         return torch.zeros(len(SEEDS))
 
-    monkeypatch.setattr(QLearning, "train", train)
+    monkeypatch.setattr(QLearning, "train_on", train_on)
     return asked
 
 
@@ -338,8 +341,11 @@ def test_steps_in_two_parts_are_those_in_one(make: Make, options: Any, kind: str
 
 
 @pytest.mark.parametrize("options", OPTIONS.values(), ids=OPTIONS)
-def test_a_state_saved_in_mid_episode_resumes_bit_identically(make: Make, options: Any) -> None:
-    online, resumed = make(*options), make(*options)
+@pytest.mark.parametrize("compiled", [False, True], ids=["eager", "compiled"])
+def test_a_state_saved_in_mid_episode_resumes_bit_identically(
+    make: Make, options: Any, compiled: bool
+) -> None:
+    online, resumed = (make(*options, compiled=compiled) for _ in range(2))
     epsilon = falling(230)
     online.advance(110, epsilon[:110])
     resumed.advance(31, epsilon[:31])  # what was done before leaves no trace
