@@ -64,7 +64,7 @@ def _verify_all(arguments: argparse.Namespace) -> bool:
     if arguments.sample:
         folders = sorted(random.sample(folders, min(arguments.sample, len(folders))))
 
-    if not any("\nexact: true\n" in _text(folder / "config.yaml") for folder in folders):
+    if all("\nexact: false\n" in _text(folder / "config.yaml") for folder in folders):
         kernels.release()  # before anything imports NumPy or torch
     from ril.cli.configuration import from_file
 

@@ -153,8 +153,12 @@ def test_a_runs_policies_act_as_they_were_scored(
         policy = load_policy(results / "policy.pt", row["seed"], which)
 
         class Scored:
-            def greedy(self, scaled: np.ndarray, policy: Any = policy) -> np.ndarray:
-                return np.asarray(policy.predict(scaled * (high - low) / 2 + (high + low) / 2))
+            def frozen(self, policy: Any = policy) -> Any:
+                def infer(scaled: np.ndarray) -> torch.Tensor:
+                    raw = scaled * (high - low) / 2 + (high + low) / 2
+                    return torch.from_numpy(policy.values(raw))[None]
+
+                return infer
 
         returns = Evaluation(cartpole, [row["seed"]]).returns(Scored(), 3, "of the result")
         assert returns.mean() == row[column]
