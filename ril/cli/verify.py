@@ -109,7 +109,7 @@ def _result(comparison: Comparison) -> str:
     evaluations = f"{count(comparison.evaluations, 'evaluation')} during training"
     if not comparison.differing:
         return f"every digit agrees: {count(len(seeds), 'seed')}, {evaluations}"
-    lines = [f"{len(comparison.differing)} of {count(len(seeds), 'seed')} differ"]
+    lines = [f"differs: {len(comparison.differing)} of {count(len(seeds), 'seed')}"]
     for seed in comparison.differing:
         epoch = comparison.first_epoch.get(seed)
         since = f"from epoch {epoch} on" if epoch is not None else "after training"

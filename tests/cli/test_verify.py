@@ -72,7 +72,7 @@ def test_some_seeds_of_a_run_repeat_alone(kept: Path, verify: Verify) -> None:
 def test_a_changed_digit_of_a_row_is_found(kept: Path, verify: Verify) -> None:
     changed(kept / "results.csv", 1, "aer_last", "9.1")
     ended = verify(kept)
-    assert "1 of 2 seeds differ\n  seed 1: after training (aer_last)\n" in ended.output
+    assert "differs: 1 of 2 seeds\n  seed 1: after training (aer_last)\n" in ended.output
     assert "agree in every digit: 0 of 1 run\n" in ended.output
     assert ended.status == 1
 
