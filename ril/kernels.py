@@ -23,7 +23,7 @@ LEVEL = {
 _BEFORE_2_4 = "AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL AVX512_ICL AVX512_SPR"
 #: Set by `release` for this process and those that it starts.
 _RELEASED = "RIL_EXACT"
-_LIBRARIES = ("numpy", "torch")
+_LIBRARIES = ("torch", "numpy")  # torch imports numpy
 _CPUINFO = Path("/proc/cpuinfo")
 
 _before: dict[str, str | None] = {}  # the variables' values before `fix`

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -40,9 +41,18 @@ def test_digits_are_kept_of_every_method_on_every_environment_eager_and_compiled
     assert list(KEPT["cells"]) == cells()
 
 
+#: Compiling takes minutes, so each day compares compiled runs on two of the four environments.
+COMPILED_TODAY = (("cartpole", "lunarlander"), ("acrobot", "mountaincar"))[
+    datetime.now(UTC).toordinal() % 2
+]
+
+
 @same_versions
 @pytest.mark.parametrize("cell", cells())
 def test_digits_are_those_of_the_machine_that_kept_them(cell: str) -> None:
+    env, *_, last = cell.split()
+    if last == "compiled" and env not in COMPILED_TODAY and "RIL_ALL_DIGITS" not in os.environ:
+        pytest.skip("compared on another day, or with RIL_ALL_DIGITS=1")
     assert digits(cell) == KEPT["cells"][cell], f"kept on {KEPT['processor']}, {KEPT['libc']}"
 
 
@@ -73,15 +83,15 @@ def test_kernel_levels_that_the_user_asks_for_change_no_digit() -> None:
 @same_versions
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 def test_another_make_of_processor_changes_no_digit(tmp_path: Path) -> None:
-    """MKL chooses by the processor's make; this function of its tells it that it is Intel's."""
+    """MKL asks this function of its whether the processor is Intel's; it gets the other answer."""
     makes = tmp_path / "intel.c"
     makes.write_text("int mkl_serv_intel_cpu_true(void) { return INTEL; }\n")
-    for intel in ("0", "1"):
-        library = tmp_path / f"intel{intel}.so"
-        compile_it = ["cc", "-shared", "-fPIC", f"-DINTEL={intel}", "-o", library, makes]
-        subprocess.run(compile_it, check=True)
-        found = digits_in({"LD_PRELOAD": str(library)})
-        assert found == {cell: KEPT["cells"][cell] for cell in TELLING}
+    other = "0" if "GenuineIntel" in Path("/proc/cpuinfo").read_text() else "1"
+    library = tmp_path / "make.so"
+    compile_it = ["cc", "-shared", "-fPIC", f"-DINTEL={other}", "-o", library, makes]
+    subprocess.run(compile_it, check=True)
+    found = digits_in({"LD_PRELOAD": str(library)})
+    assert found == {cell: KEPT["cells"][cell] for cell in TELLING}
 
 
 def run_python(code: str, **environment: str) -> str:
