@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,14 @@ def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
     def call(*arguments: Any) -> Any:
         tensors = _flattened(arguments)
         if not graphs:
-            graphs.append(_compiled(function, arguments, tensors))
+            try:
+                graph = _compiled(function, arguments, tensors)
+            except Exception as error:  # torch's compiler errors share no base class
+                if "ImportError" not in str(error):
+                    raise
+                time.sleep(3)  # another process was writing the same file of the cache
+                graph = _compiled(function, arguments, tensors)
+            graphs.append(graph)
         return graphs[0](*tensors)
 
     return call

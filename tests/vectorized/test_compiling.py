@@ -35,3 +35,20 @@ def test_a_graph_refuses_other_shapes_than_its_first() -> None:
     function(torch.ones(4, 8), torch.ones(4, 8))
     with pytest.raises((AssertionError, RuntimeError), match=r"size|shape"):
         function(torch.ones(4, 6), torch.ones(4, 6))
+
+
+def test_a_file_that_another_process_is_writing_is_read_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    compiler, tries = torch._inductor.standalone_compile, []
+
+    def torn_at_first(*arguments: Any, **named: Any) -> Any:
+        tries.append(1)
+        if len(tries) == 1:
+            raise TorchDynamoException("ImportError: main.so: file too short")
+        return compiler(*arguments, **named)
+
+    monkeypatch.setattr(compiling.time, "sleep", lambda _: None)
+    monkeypatch.setattr(torch._inductor, "standalone_compile", torn_at_first)
+    assert compile_graph(torch.add)(torch.ones(1), torch.ones(1)) == 2
+    assert len(tries) == 2
