@@ -15,44 +15,24 @@ import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torc
 
 # isort: split
 
-import csv
 import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import torch
+from against_sb3 import CHECKS, COPIES, EPISODES, KEYS, SEEDS, by_ril, fill, summary
 from matched_dqn import composed, make_scaled, stable_baselines_dqn
 from scipy.stats import permutation_test
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from ril.config.schema import Config
 from ril.environments import Environment, load_environment
+from ril.learners.online_q_learning import EPOCHS
 from ril.methods.dqn import DQNConfig
-from ril.run.prepare import prepare
-from ril.vectorized.evaluation import Evaluation
 
-CHECKS = Path(__file__).resolve().parents[1] / "docs" / "checks"
-SEEDS = tuple(range(100, 110))
 PARTS = 3  # of the budget; policies are scored after each
-EPISODES, COPIES = 100, 20
-COLUMNS = ("learner", "seed", "total_timesteps", *(f"return_{part + 1}" for part in range(PARTS)))
-
-
-def by_ril(config: Config) -> list[list[float]]:
-    """Train all seeds with ril; return their (S, PARTS) mean returns."""
-    cell = prepare(config)
-    method, evaluation = cell.build_method(), Evaluation(cell.environment, config.seeds)
-    ends = [method.epochs * (part + 1) // PARTS for part in range(PARTS)]
-    returns = [
-        evaluation.returns(method.policy, EPISODES, f"check {progress.epoch}").mean(axis=1)
-        for progress in method.train()
-        if progress.epoch in ends
-    ]
-    return np.stack(returns, axis=1).tolist()
+COLUMNS = (*KEYS, *(f"return_{part + 1}" for part in range(PARTS)))
 
 
 class Scores(BaseCallback):
@@ -76,33 +56,16 @@ def run(overrides: list[str]) -> None:
     config = composed("method=dqn", f"seeds={list(SEEDS)}", "compile=false", *overrides)
     assert isinstance(config.method, DQNConfig)
     environment, total = load_environment(config.env), config.method.total_timesteps
+    epochs = min(EPOCHS, total)
+    ends = [epochs * (part + 1) // PARTS for part in range(PARTS)]
+
+    def theirs(seed: int) -> list[float]:
+        scores = Scores(environment, total, seed)
+        stable_baselines_dqn(config.method, environment, seed).learn(total, scores)
+        return scores.returns
+
     path = CHECKS / f"dqn_{config.env.name}.csv"
-    done = set()
-    if path.exists():
-        rows = pd.read_csv(path)
-        done = set(zip(rows["learner"], rows["seed"], rows["total_timesteps"], strict=True))
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if file.tell() == 0:
-            writer.writerow(COLUMNS)
-
-        def write(learner: str, seed: int, returns: list[float]) -> None:
-            writer.writerow((learner, seed, total, *(f"{value:.2f}" for value in returns)))
-            file.flush()
-
-        if not {("ril", seed, total) for seed in SEEDS} <= done:
-            started = time.perf_counter()
-            for seed, returns in zip(SEEDS, by_ril(config), strict=True):
-                write("ril", seed, returns)
-            print(f"ril: {time.perf_counter() - started:.0f} s for {len(SEEDS)} seeds", flush=True)
-        for seed in SEEDS:
-            if ("sb3", seed, total) in done:
-                continue
-            started = time.perf_counter()
-            scores = Scores(environment, total, seed)
-            stable_baselines_dqn(config.method, environment, seed).learn(total, scores)
-            write("sb3", seed, scores.returns)
-            print(f"sb3: {time.perf_counter() - started:.0f} s for seed {seed}", flush=True)
+    fill(path, COLUMNS, total, lambda: by_ril(config, ends), theirs)
 
 
 def show() -> None:
@@ -116,10 +79,8 @@ def show() -> None:
         ours, theirs = (rows.loc[rows["learner"] == name] for name in ("ril", "sb3"))
         columns = COLUMNS[3:]
         for name, side in (("`method=dqn`", ours), ("Stable-Baselines3", theirs)):
-            cells = [f"{side[c].mean():.1f} ± {side[c].std(ddof=0):.1f}" for c in columns]
-            print(f"| {name} ({len(side)} seeds) | " + " | ".join(cells) + " |")
-            cells = [", ".join(f"{q:.0f}" for q in side[c].quantile([0, 0.5, 1])) for c in columns]
-            print("| lowest, median, highest | " + " | ".join(cells) + " |")
+            for head, cells in summary(name, side, columns):
+                print(f"| {head} | " + " | ".join(cells) + " |")
         p = [
             permutation_test(
                 (ours[c], theirs[c]),

@@ -15,17 +15,15 @@ import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torc
 
 # isort: split
 
-import csv
 import math
 import sys
-import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
+from against_sb3 import CHECKS, COPIES, EPISODES, KEYS, SEEDS, by_ril, fill, summary
 from matched_dqn import composed, make_scaled
 from matched_ppo import stable_baselines_ppo
 from scipy.stats import permutation_test
@@ -35,38 +33,18 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from ril.config.schema import Config
 from ril.environments import Environment, load_environment
 from ril.methods.ppo import PPOMethodConfig
-from ril.run.prepare import prepare
-from ril.vectorized.evaluation import Evaluation
 
-CHECKS = Path(__file__).resolve().parents[1] / "docs" / "checks"
-SEEDS = tuple(range(100, 110))
 SHARES = 0.25, 0.5, 1  # of the budget; policies are scored after each
-EPISODES, COPIES = 100, 20
 RETURNS = tuple(f"return_{100 * share:.0f}" for share in SHARES)
-COLUMNS = ("learner", "seed", "total_timesteps", *RETURNS)
+COLUMNS = (*KEYS, *RETURNS)
 
 
 def rollouts(config: PPOMethodConfig) -> list[int]:
     """Return the numbers of the rollouts after whose updates policies are scored."""
     total = math.ceil(config.total_timesteps / (config.ppo.n_envs * config.ppo.n_steps))
     return [round(share * total) for share in SHARES]
-
-
-def by_ril(config: Config, ends: Sequence[int]) -> list[list[float]]:
-    """Train all seeds with ril; return their mean returns after some rollouts, a row per seed."""
-    cell = prepare(config)
-    method, evaluation = cell.build_method(), Evaluation(cell.environment, config.seeds)
-    assert method is not None
-    returns = [
-        evaluation.returns(method.policy, EPISODES, f"check {progress.epoch}").mean(axis=1)
-        for progress in method.train()
-        if progress.epoch in ends
-    ]
-    rows: list[list[float]] = np.stack(returns, axis=1).tolist()
-    return rows
 
 
 class Scores(BaseCallback):
@@ -116,34 +94,15 @@ def run(overrides: list[str]) -> None:
         method.total_timesteps,
         rollouts(method),
     )
+
+    def theirs(seed: int) -> list[float]:
+        scores = Scores(environment, ends, seed)
+        model = stable_baselines_ppo(method.ppo, lambda: make_scaled(environment), seed)
+        model.learn(total, scores)
+        return scores.returns
+
     path = CHECKS / f"ppo_{config.env.name}.csv"
-    done = set()
-    if path.exists():
-        rows = pd.read_csv(path)
-        done = set(zip(rows["learner"], rows["seed"], rows["total_timesteps"], strict=True))
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if file.tell() == 0:
-            writer.writerow(COLUMNS)
-
-        def write(learner: str, seed: int, returns: list[float]) -> None:
-            writer.writerow((learner, seed, total, *(f"{value:.2f}" for value in returns)))
-            file.flush()
-
-        if not {("ril", seed, total) for seed in SEEDS} <= done:
-            started = time.perf_counter()
-            for seed, returns in zip(SEEDS, by_ril(config, ends), strict=True):
-                write("ril", seed, returns)
-            print(f"ril: {time.perf_counter() - started:.0f} s for {len(SEEDS)} seeds", flush=True)
-        for seed in SEEDS:
-            if ("sb3", seed, total) in done:
-                continue
-            started = time.perf_counter()
-            scores = Scores(environment, ends, seed)
-            model = stable_baselines_ppo(method.ppo, lambda: make_scaled(environment), seed)
-            model.learn(total, scores)
-            write("sb3", seed, scores.returns)
-            print(f"sb3: {time.perf_counter() - started:.0f} s for seed {seed}", flush=True)
+    fill(path, COLUMNS, total, lambda: by_ril(config, ends), theirs)
 
 
 def difference(ours: pd.Series, theirs: pd.Series) -> str:
@@ -182,10 +141,7 @@ def show() -> None:
         ours, theirs = (rows.loc[rows["learner"] == name] for name in ("ril", "sb3"))
         lines: list[tuple[str, list[str]]] = []
         for name, side in (("`method=ppo`", ours), ("Stable-Baselines3", theirs)):
-            cells = [f"{side[c].mean():.1f} ± {side[c].std(ddof=0):.1f}" for c in RETURNS]
-            lines.append((f"{name} ({len(side)} seeds)", cells))
-            cells = [", ".join(f"{q:.0f}" for q in side[c].quantile([0, 0.5, 1])) for c in RETURNS]
-            lines.append(("lowest, median, highest", cells))
+            lines += summary(name, side, RETURNS)
         cells = [difference(ours[c], theirs[c]) for c in RETURNS]
         lines.append(("difference, 95 % interval", cells))
         cells = [f"{exact_p(ours[c], theirs[c]):.2f}" for c in RETURNS]

@@ -19,7 +19,7 @@ from ril.run.experiment import run
 from ril.run.training import Display
 
 #: Columns that differ between two equal runs; `run_id` also covers the seeds that ran together.
-_OF_THE_RUN = ["run_id", "wall_seconds", "commit"]
+OF_THE_RUN = ["run_id", "wall_seconds", "commit"]
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,7 @@ def verify(folder: Path, config: Config, display: Display) -> Comparison:
         new_rows, new_curve = _table(repeated / "results.csv"), _table(repeated / "curve.csv")
     columns, first_epoch = {}, {}
     for seed in config.seeds:
-        before, after = (
-            _of_seed(each, seed).drop(columns=_OF_THE_RUN) for each in (rows, new_rows)
-        )
+        before, after = (_of_seed(each, seed).drop(columns=OF_THE_RUN) for each in (rows, new_rows))
         if different := _different(before, after):
             columns[seed] = different
         points, new_points = _of_seed(curve, seed), _of_seed(new_curve, seed)

@@ -132,8 +132,10 @@ def _compiled(
         rest = iter(tensors)
 
         def given(argument: Any) -> Any:
-            if argument is None or isinstance(argument, Tensor):
-                return None if argument is None else next(rest)
+            if argument is None:
+                return None
+            if isinstance(argument, Tensor):
+                return next(rest)
             parts = [next(rest) for _ in argument]
             return argument._make(parts) if hasattr(argument, "_make") else tuple(parts)
 

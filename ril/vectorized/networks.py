@@ -465,10 +465,6 @@ class Network(Stateful):
 
         return infer
 
-    def greedy(self, observations: Floats) -> NDArray[np.int64]:
-        """Choose the actions of the largest outputs: (S·N, obs) as for `infer`, to (S·N,)."""
-        return greedy(self.infer(observations))
-
     def copy(self) -> Network:
         """Copy the networks into a new buffer."""
         return Network(self.architecture, self.flat.clone())

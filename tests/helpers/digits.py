@@ -27,13 +27,12 @@ from ril.cli.configuration import from_hydra
 from ril.methods.registry import names, spec
 from ril.run.experiment import run
 from ril.run.provenance import provenance
+from ril.run.verify import OF_THE_RUN
 
 GOLDEN = Path(__file__).parents[1] / "run" / "digits.json"
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar", "lunarlander")
 #: Libraries whose versions the digits depend on.
 LIBRARIES = ("torch", "numpy", "gymnasium", "Box2D")
-#: Columns that differ between two equal runs.
-_OF_THE_RUN = ["run_id", "wall_seconds", "commit"]
 
 
 def cells() -> list[str]:
@@ -50,7 +49,7 @@ def digits(cell: str) -> dict[str, Any]:
         overrides = (*QUICK_RUN, *small, f"env={env}", f"method={method}", f"output_dir={folder}")
         config = from_hydra(composed(*overrides, f"compile={'true' if compiled else 'false'}"))
         done = run(config, Silence())
-        rows = pd.read_csv(done / "results.csv", dtype=str).drop(columns=_OF_THE_RUN)
+        rows = pd.read_csv(done / "results.csv", dtype=str).drop(columns=OF_THE_RUN)
         found = {
             "aer": [float(each) for each in rows["aer"]],
             "rows": _digest(rows.to_csv(index=False).encode()),

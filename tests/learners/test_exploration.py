@@ -12,6 +12,7 @@ from torch import Tensor
 from ril.config.schema import Config
 from ril.learners.exploration import Explorer, epsilon_greedy, exploration_ratio, sample_softmax
 from ril.task import Task
+from ril.vectorized import networks
 from ril.vectorized.networks import MLP, Network
 
 pytestmark = pytest.mark.quick
@@ -121,7 +122,7 @@ def test_without_epsilon_an_explorer_plays_greedily(explorer: Any) -> None:
     episodes = one.play(np.zeros(2))
     for seed, length in enumerate(episodes.lengths):
         both = np.stack([episodes.observations[seed, :length]] * 2)
-        greedy = one.policy.greedy(both.reshape(-1, 4)).reshape(2, length)[seed]
+        greedy = networks.greedy(one.policy.infer(both.reshape(-1, 4))).reshape(2, length)[seed]
         np.testing.assert_array_equal(episodes.actions[seed, :length], greedy)
 
 
@@ -132,7 +133,7 @@ def test_an_explorer_departs_from_the_greedy_action_as_often_as_epsilon_says(exp
         episodes = one.play(np.full(2, 0.4))
         for seed, length in enumerate(episodes.lengths):
             both = np.stack([episodes.observations[seed, :length]] * 2)
-            greedy = one.policy.greedy(both.reshape(-1, 4)).reshape(2, length)[seed]
+            greedy = networks.greedy(one.policy.infer(both.reshape(-1, 4))).reshape(2, length)[seed]
             departures += (episodes.actions[seed, :length] != greedy).tolist()
     assert len(departures) > 700
     assert np.mean(departures) == pytest.approx(0.2, abs=0.05)  # half of what is uniform is greedy

@@ -13,6 +13,7 @@ from torch.nn import functional
 from ril.io.errors import UserError
 from ril.methods.ilpo import ILPO
 from ril.task import Task
+from ril.vectorized import networks
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
 
@@ -188,7 +189,7 @@ def test_there_are_as_many_latent_actions_as_actions(make: Any) -> None:
 def test_there_may_be_more_latent_actions(make: Any) -> None:
     method = make("method.latent_policy.latents=5")
     list(method.train())
-    assert method.policy.greedy(np.zeros((2, 4), dtype=np.float32)).shape == (2,)
+    assert networks.greedy(method.policy.infer(np.zeros((2, 4), dtype=np.float32))).shape == (2,)
 
 
 def test_sizes_and_rates_are_the_papers(compose: Any) -> None:

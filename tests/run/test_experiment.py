@@ -26,6 +26,7 @@ from ril.policy import load_policy
 from ril.run import training
 from ril.run.experiment import run
 from ril.run.record import Record
+from ril.run.verify import OF_THE_RUN
 from ril.vectorized.evaluation import random_returns
 from ril.vectorized.streams import Streams
 
@@ -50,8 +51,7 @@ def table(folder: Path, name: str) -> pd.DataFrame:
 
 def rows(folder: Path) -> list[dict[str, Any]]:
     """The rows of `results.csv` without the run's name, time and code."""
-    aside = ["run_id", "wall_seconds", "commit"]
-    return table(folder, "results.csv").drop(columns=aside).to_dict("records")
+    return table(folder, "results.csv").drop(columns=OF_THE_RUN).to_dict("records")
 
 
 def rows_of(seed: int, folder: Path) -> str:
