@@ -34,7 +34,7 @@ class EnvironmentConfig:
         observation_high: raw observation that is scaled to 1; None: the space's bounds.
         scale_observations: whether methods see scaled observations or raw ones (D5).
         kwargs: passed to `gymnasium.make`.
-        vectorized: whether to step all copies as arrays where ril implements that; results are
+        vectorized: whether ril's own, faster steps are used where there are any; results are
             bit-identical either way.
     """
 

@@ -13,8 +13,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from ril.config.fields import one_of
-from ril.vectorized.descent import train_on_minibatches
-from ril.vectorized.networks import Network
+from ril.vectorized.compiling import LEAST_ROWS, compile_graph, with_fallback
+from ril.vectorized.descent import descent, train_on_minibatches
+from ril.vectorized.networks import Network, Parameters, by_name
 from ril.vectorized.replay import gather_by_seed, random_indices
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams
@@ -38,20 +39,19 @@ def state_action_pairs(observations: Tensor, actions: Tensor, action_count: int)
     return torch.cat((observations, one_hot), dim=-1)
 
 
-def discriminator_loss(expert_logits: Tensor, generated_logits: Tensor) -> Tensor:
-    """Compute the discriminator's loss −E_E[log D] − E_π[log(1 − D)], with D = σ(logit).
+def discriminator_losses(expert_logits: Tensor, generated_logits: Tensor) -> Tensor:
+    """Compute the discriminator's losses, with the mean −E_E[log D] − E_π[log(1 − D)].
 
-    D is the probability that a pair is the expert's; in GAIL's paper it is the policy's.
+    D = σ(logit) is the probability that a pair is the expert's; in GAIL's paper it is the policy's.
 
     Args:
         expert_logits: (S, B) for the expert's pairs.
-        generated_logits: (S, C) for the policy's pairs.
+        generated_logits: (S, B) for the policy's pairs.
 
     Returns:
-        (S,).
+        (S, B).
     """
-    of_expert = functional.softplus(-expert_logits).mean(dim=1)
-    return of_expert + functional.softplus(generated_logits).mean(dim=1)
+    return functional.softplus(-expert_logits) + functional.softplus(generated_logits)
 
 
 def imitation_reward(logits: Tensor, kind: str) -> Tensor:
@@ -80,15 +80,23 @@ class Discriminator(Stateful):
         network: from obs + |A| features to one logit.
         config: `method.discriminator`.
         streams: random streams that draw the minibatches.
+        compiled: whether to compile updates and rewards, if minibatches are large enough.
     """
 
     STATE: ClassVar = ("network", "_optimizer", "_streams")
 
-    def __init__(self, network: Network, config: DiscriminatorConfig, streams: Streams) -> None:
+    def __init__(
+        self, network: Network, config: DiscriminatorConfig, streams: Streams, *, compiled: bool
+    ) -> None:
         self.network = network
         self.config = config
         self._streams = streams
         self._optimizer = ClippedAdam(network, config.learning_rate)
+        compiled = compiled and 2 * config.batch_size >= LEAST_ROWS
+        self._descend = descent(self._optimizer, self._loss, compile_step=compiled)
+        self._reward = self._rewards
+        if compiled:
+            self._reward = with_fallback(compile_graph(self._rewards), self._rewards)
 
     def train(self, expert: Tensor, generated: Tensor) -> dict[str, NDArray[np.float64]]:
         """Take minibatch steps, each on equally many pairs of the expert and of the policy.
@@ -109,12 +117,8 @@ class Discriminator(Stateful):
 
         def step(of_expert: Tensor, of_policy: Tensor) -> Tensor:
             pairs = expert[of_expert], gather_by_seed(generated, of_policy)
-            logits = self.network(torch.cat(pairs, dim=1)).squeeze(-1)
-            expert_logits, generated_logits = logits.chunk(2, dim=1)
-            losses = discriminator_loss(expert_logits, generated_logits)
-            self._optimizer.step(losses)
-            correct = torch.cat((expert_logits > 0, generated_logits <= 0), dim=1)
-            return torch.stack((losses.detach(), correct.float().mean(dim=1)))
+            losses, correct = self._descend(torch.cat(pairs, dim=1))
+            return torch.stack((losses.mean(dim=1), correct.mean(dim=1)))
 
         means = train_on_minibatches(step, of_expert.unbind(dim=1), of_policy.unbind(dim=1))
         loss, accuracy = means.double().cpu().numpy()
@@ -123,4 +127,22 @@ class Discriminator(Stateful):
     @torch.no_grad()
     def rewards(self, generated: Tensor) -> Tensor:
         """Compute rewards (S, N) for pairs (S, N, obs + |A|) of the policy."""
-        return imitation_reward(self.network(generated).squeeze(-1), self.config.reward)
+        rewards: Tensor = self._reward(self.network.flat, generated)
+        return rewards
+
+    def _loss(self, parameters: Parameters, pairs: Tensor) -> tuple[Tensor, Tensor]:
+        """Compute the losses of pairs (S, 2 · B, obs + |A|), the expert's before the policy's.
+
+        Returns:
+            (S, B) the losses, and (S, 2 · B) 1 for a pair that is classified correctly.
+        """
+        logits = self.network.architecture.forward(parameters, pairs).squeeze(-1)
+        expert_logits, generated_logits = logits.chunk(2, dim=1)
+        correct = torch.cat((expert_logits > 0, generated_logits <= 0), dim=1)
+        return discriminator_losses(expert_logits, generated_logits), correct.float()
+
+    def _rewards(self, flat: Tensor, generated: Tensor) -> Tensor:
+        """Compute `rewards` with the parameters (S, P)."""
+        architecture = self.network.architecture
+        logits = architecture.forward(by_name(architecture, flat), generated)
+        return imitation_reward(logits.squeeze(-1), self.config.reward)

@@ -94,6 +94,7 @@ class PPOLearner(Stateful):
         rollout_steps: N, steps of each seed in a rollout.
         rollouts: number of rollouts in `total_timesteps`.
         steps: steps of each seed so far.
+        compiled: whether acting and updates are compiled.
 
     Raises:
         UserError: minibatches do not fit a rollout, or the budget is below one rollout.
@@ -148,11 +149,11 @@ class PPOLearner(Stateful):
             self.networks, config.learning_rate, epsilon=1e-5, max_norm=config.max_grad_norm
         )
         minibatches = config.n_epochs * self.rollout_steps // config.batch_size
-        compiled = worth_compiling(task.compile, self.rollouts * minibatches)
-        compiled = compiled and config.batch_size >= LEAST_ROWS
-        self._descend = descent(self._optimizer, self._loss, compile_step=compiled)
+        worthwhile = worth_compiling(task.compile, self.rollouts * minibatches)
+        self.compiled = worthwhile and config.batch_size >= LEAST_ROWS
+        self._descend = descent(self._optimizer, self._loss, compile_step=self.compiled)
         self._act = self._decide
-        if compiled:
+        if self.compiled:
             self._act = with_fallback(compile_graph(self._decide), self._decide)
         self._sampling = Streams(seeds, "actions")
         self._shuffling = Streams(seeds, "minibatches")

@@ -58,6 +58,7 @@ class GAIL(Stateful):
             Network.initialize(shape, seeds, "discriminator", task.device),
             config.discriminator,
             Streams(seeds, "discriminator batches"),
+            compiled=self.learner.compiled,
         )
         self._actions = environment.action_count
         seen = states if standardize is None else standardize(states)

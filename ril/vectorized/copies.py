@@ -45,14 +45,18 @@ def make_copies(environment: Environment, count: int) -> EnvironmentCopies:
         count: K.
 
     Returns:
-        `ArrayCopies` where `classic_control` has the environment and enough copies make that
-        faster; `GymnasiumCopies` otherwise.
+        What is fastest: `ArrayCopies` for `classic_control`, `LanderCopies`, or `GymnasiumCopies`.
     """
     config = environment.config
-    known = config.vectorized and config.id in STEPS and not config.kwargs
-    return (ArrayCopies if known and count >= _FEWEST_IN_ARRAYS else GymnasiumCopies)(
-        environment, count
-    )
+    if config.vectorized and not config.kwargs:
+        if config.id in STEPS and count >= _FEWEST_IN_ARRAYS:
+            return ArrayCopies(environment, count)
+        if config.id == "LunarLander-v3":
+            # Imported here, because it imports Box2D.
+            from ril.vectorized.lunar_lander import LanderCopies
+
+            return LanderCopies(environment, count)
+    return GymnasiumCopies(environment, count)
 
 
 class GymnasiumCopies:

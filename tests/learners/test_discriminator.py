@@ -13,7 +13,7 @@ from torch.nn import functional
 from ril.learners.discriminator import (
     Discriminator,
     DiscriminatorConfig,
-    discriminator_loss,
+    discriminator_losses,
     imitation_reward,
     state_action_pairs,
 )
@@ -25,10 +25,16 @@ ARCHITECTURE = MLP(5, (8, 6), 1, attention=False, layer_norm=False, negative_slo
 SEEDS = (0, 1, 2)
 EXPERT, GENERATED = 30, 20
 
-logits_of = st.lists(st.floats(-15, 15, width=32), min_size=2, max_size=6)
+LOGIT = st.floats(-15, 15, width=32)
 
 
-def learner(purpose: str = "batches", **changes: object) -> Discriminator:
+def learner(
+    purpose: str = "batches",
+    *,
+    compiled: bool = False,
+    seeds: tuple[int, ...] = SEEDS,
+    **changes: object,
+) -> Discriminator:
     values = {
         "hidden": [8, 6],
         "learning_rate": 0.01,
@@ -36,10 +42,9 @@ def learner(purpose: str = "batches", **changes: object) -> Discriminator:
         "batch_size": 8,
         "reward": "positive",
     }
-    network = random_network(ARCHITECTURE, len(SEEDS))
-    return Discriminator(
-        network, DiscriminatorConfig(**(values | changes)), Streams(SEEDS, purpose)
-    )
+    network = random_network(ARCHITECTURE, len(seeds))
+    config = DiscriminatorConfig(**(values | changes))
+    return Discriminator(network, config, Streams(seeds, purpose), compiled=compiled)
 
 
 def clouds(distance: float = 0.0) -> tuple[Tensor, Tensor]:
@@ -54,22 +59,14 @@ def test_pairs_are_states_beside_one_hot_actions() -> None:
     assert found.tolist() == [[0.5, -1.0, 0.0, 0.0, 1.0], [2.0, 3.0, 1.0, 0.0, 0.0]]
 
 
-@given(logits_of, logits_of)
-def test_the_loss_is_binary_cross_entropy_of_both(ours: list[float], theirs: list[float]) -> None:
-    expert, generated = torch.tensor(ours), torch.tensor(theirs)
+@given(st.lists(st.tuples(LOGIT, LOGIT), min_size=2, max_size=6))
+def test_the_loss_is_binary_cross_entropy_of_both(logits: list[tuple[float, float]]) -> None:
+    expert, generated = torch.tensor(logits).T
     entropy = functional.binary_cross_entropy_with_logits
     expected = entropy(expert, torch.ones_like(expert))  # −log D
     expected = expected + entropy(generated, torch.zeros_like(generated))  # −log(1 − D)
-    found = discriminator_loss(expert[None], generated[None])
-    torch.testing.assert_close(found[0], expected)
-
-
-def test_the_loss_is_of_each_seed() -> None:
-    expert, generated = torch.randn(2, 3, 7, generator=torch.Generator().manual_seed(0))
-    together = discriminator_loss(expert, generated)
-    for seed in range(3):
-        alone = discriminator_loss(expert[seed, None], generated[seed, None])
-        torch.testing.assert_close(together[seed], alone[0])  # rounding may differ
+    found = discriminator_losses(expert[None], generated[None])
+    torch.testing.assert_close(found.mean(), expected)
 
 
 GRID = torch.linspace(-12, 12, 49, dtype=torch.float64)
@@ -99,8 +96,9 @@ def test_what_is_more_like_the_expert_is_paid_more(kind: str) -> None:
     assert (imitation_reward(GRID, kind).diff() > 0).all()
 
 
-def test_training_is_that_of_one_discriminator_per_seed() -> None:
-    discriminator = learner()
+@pytest.mark.parametrize("compiled", [False, True])
+def test_training_is_that_of_one_discriminator_per_seed(compiled: bool) -> None:
+    discriminator = learner(compiled=compiled)
     modules = copies_of(discriminator.network)
     expert, generated = clouds()
     found = discriminator.train(expert, generated)
@@ -125,9 +123,10 @@ def test_training_is_that_of_one_discriminator_per_seed() -> None:
     np.testing.assert_allclose(found["discriminator_accuracy"], right, rtol=1e-6)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("kind", ["positive", "negative"])
-def test_rewards_are_those_of_the_present_network(kind: str) -> None:
-    discriminator = learner(reward=kind)
+def test_rewards_are_those_of_the_present_network(kind: str, compiled: bool) -> None:
+    discriminator = learner(reward=kind, compiled=compiled)
     expert, generated = clouds()
     discriminator.train(expert, generated)
     found = discriminator.rewards(generated)
@@ -135,6 +134,18 @@ def test_rewards_are_those_of_the_present_network(kind: str) -> None:
         d = module(generated[seed])[:, 0].sigmoid()
         expected = -(1 - d).log() if kind == "positive" else d.log()
         torch.testing.assert_close(found[seed], expected.detach(), rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_seed_does_not_depend_on_its_neighbors(compiled: bool) -> None:
+    together = learner(compiled=compiled, batch_size=16)
+    alone = learner(compiled=compiled, batch_size=16, seeds=SEEDS[1:2])
+    alone.network.flat.copy_(together.network.flat[1:2])
+    expert, generated = clouds()
+    for discriminator, of_its_seeds in ((together, generated), (alone, generated[1:2])):
+        discriminator.train(expert, of_its_seeds)
+    assert torch.equal(alone.network.flat[0], together.network.flat[1])
+    assert torch.equal(alone.rewards(generated[1:2])[0], together.rewards(generated)[1])
 
 
 def test_two_clouds_are_told_apart() -> None:
