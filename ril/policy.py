@@ -15,8 +15,9 @@ from torch import Tensor
 from ril.environments import Environment, Floats
 from ril.io.errors import UserError
 from ril.io.files import tensor_bytes, write_atomically
+from ril.vectorized.architectures import MLP, Dueling, Standardized
 from ril.vectorized.latent_networks import ActionRemapping, LatentDynamics, LatentPolicy
-from ril.vectorized.networks import MLP, Architecture, Dueling, Network, Standardized
+from ril.vectorized.networks import Architecture, Network
 
 _ARCHITECTURES: dict[str, type[Architecture]] = {
     kind.__name__: kind

@@ -11,8 +11,9 @@ from helpers.references import copies_of, random_network
 from ril.environments import Environment
 from ril.io.errors import UserError
 from ril.policy import load_policy, save_policies
+from ril.vectorized.architectures import MLP, Dueling, Standardized
 from ril.vectorized.latent_networks import ActionRemapping, LatentDynamics, LatentPolicy
-from ril.vectorized.networks import MLP, Architecture, Dueling, Network, Standardized
+from ril.vectorized.networks import Architecture, Network
 
 pytestmark = pytest.mark.quick
 

@@ -6,11 +6,10 @@ from collections.abc import Callable
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from ril.environments import Floats, Integers
 from ril.learners.exploration import epsilon_greedy
-from ril.vectorized.compiling import LEAST_ROWS, compile_graph, with_fallback
+from ril.vectorized.compiling import compile_graph, pad_rows, with_fallback
 from ril.vectorized.networks import Network, by_name
 
 #: From observations (S, obs), ε (S,) and random numbers (2, S, 1) in [0, 1) to actions (S,).
@@ -36,8 +35,8 @@ def acting(policy: Network, kind: str, *, compiled: bool) -> Act:
 
     @compile_graph
     def graph(flat: Tensor, observations: Tensor, epsilon: Tensor, uniform: Tensor) -> Tensor:
-        padded = functional.pad(observations, (0, 0, 0, LEAST_ROWS - 1))
-        outputs = policy.architecture.forward(by_name(policy.architecture, flat), padded)
+        parameters = by_name(policy.architecture, flat)
+        outputs = policy.architecture.forward(parameters, pad_rows(observations))
         # All rows are returned: without the padding ones, the number of seeds would change digits.
         return epsilon_greedy(outputs, epsilon, uniform, kind)
 

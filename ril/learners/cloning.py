@@ -10,8 +10,9 @@ from omegaconf import MISSING
 from torch import Tensor
 
 from ril.vectorized.descent import descent, train_on_minibatches
+from ril.vectorized.layers import Parameters
 from ril.vectorized.losses import cross_entropy
-from ril.vectorized.networks import Network, Parameters
+from ril.vectorized.networks import Network
 from ril.vectorized.replay import random_indices
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams

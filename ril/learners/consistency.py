@@ -15,8 +15,10 @@ from torch import Tensor
 from ril.config.fields import at_least, within
 from ril.learners.q_learning import TemporalDifferenceConfig
 from ril.learners.td import action_values, n_step, td_losses, td_targets
+from ril.vectorized.architectures import Consistent
 from ril.vectorized.descent import descent, train_on_minibatches
-from ril.vectorized.networks import Consistent, Network, Parameters, by_name, parameter_count
+from ril.vectorized.layers import Parameters
+from ril.vectorized.networks import Network, by_name, parameter_count
 from ril.vectorized.replay import Batch, Replay, random_indices
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.state import Stateful

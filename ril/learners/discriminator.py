@@ -15,7 +15,8 @@ from torch.nn import functional
 from ril.config.fields import one_of
 from ril.vectorized.compiling import LEAST_ROWS, compile_graph, with_fallback
 from ril.vectorized.descent import descent, train_on_minibatches
-from ril.vectorized.networks import Network, Parameters, by_name
+from ril.vectorized.layers import Parameters
+from ril.vectorized.networks import Network, by_name
 from ril.vectorized.replay import gather_by_seed, random_indices
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams

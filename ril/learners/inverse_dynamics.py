@@ -12,8 +12,9 @@ from torch import Tensor
 from ril.config.fields import one_of
 from ril.learners.goal_sampler import Selection
 from ril.vectorized.descent import descent, train_on_minibatches
+from ril.vectorized.layers import Parameters
 from ril.vectorized.losses import cross_entropy
-from ril.vectorized.networks import Network, Parameters
+from ril.vectorized.networks import Network
 from ril.vectorized.replay import Batch, random_indices
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams

@@ -12,7 +12,9 @@ from torch.nn import functional
 
 from ril.config.fields import within
 from ril.io.errors import UserError
-from ril.vectorized.networks import MLP, Network, apply_linear
+from ril.vectorized.architectures import MLP
+from ril.vectorized.layers import apply_linear
+from ril.vectorized.networks import Network
 from ril.vectorized.state import Stateful
 from ril.vectorized.updates import square_root
 

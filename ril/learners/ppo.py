@@ -3,42 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from omegaconf import MISSING
 from torch import Tensor
-from torch.nn import functional
 
 from ril.config.fields import at_least, within
 from ril.environments import Floats
 from ril.io.errors import UserError
 from ril.learners.advantages import generalized_advantages
-from ril.learners.exploration import sample_softmax
 from ril.learners.normalization import CLIP, Normalization, RunningMoments, Standardization
+from ril.learners.ppo_rollout import Rollout, acting, collect_rollout
 from ril.learners.topology import tanh_mlp
 from ril.task import Task
-from ril.vectorized.compiling import (
-    LEAST_ROWS,
-    compile_graph,
-    is_tracing,
-    with_fallback,
-    worth_compiling,
-)
+from ril.vectorized.architectures import ActorCritic, Standardized
+from ril.vectorized.compiling import LEAST_ROWS, worth_compiling
 from ril.vectorized.descent import descent
-from ril.vectorized.networks import (
-    ActorCritic,
-    Architecture,
-    Network,
-    Parameters,
-    Standardized,
-    by_name,
-    parameter_count,
-)
+from ril.vectorized.layers import Parameters
+from ril.vectorized.networks import Architecture, Network, parameter_count
+from ril.vectorized.orthogonal import orthogonal
 from ril.vectorized.state import Stateful
 from ril.vectorized.stepping import SteppedEnvironments
 from ril.vectorized.streams import Streams
@@ -61,19 +48,6 @@ class PPOConfig:
     ent_coef: float = at_least(0)
     vf_coef: float = at_least(0)
     max_grad_norm: float = MISSING
-
-
-class Rollout(NamedTuple):
-    """T steps in S·K environments."""
-
-    observations: Floats  # (T, S·K, obs), as the agents see them
-    actions: NDArray[np.int64]  # (T, S·K)
-    log_probs: Floats  # (T, S·K) log-probabilities of the actions
-    values: Floats  # (T, S·K)
-    rewards: Floats  # (T, S·K), normalized if rewards are
-    terminated: NDArray[np.bool_]  # (T, S·K)
-    truncated: NDArray[np.bool_]  # (T, S·K)
-    next_values: Floats  # (T, S·K); of the final state where an episode was truncated
 
 
 class PPOLearner(Stateful):
@@ -152,9 +126,7 @@ class PPOLearner(Stateful):
         worthwhile = worth_compiling(task.compile, self.rollouts * minibatches)
         self.compiled = worthwhile and config.batch_size >= LEAST_ROWS
         self._descend = descent(self._optimizer, self._loss, compile_step=self.compiled)
-        self._act = self._decide
-        if self.compiled:
-            self._act = with_fallback(compile_graph(self._decide), self._decide)
+        self._act = acting(self._architecture, self.networks.flat, compiled=self.compiled)
         self._sampling = Streams(seeds, "actions")
         self._shuffling = Streams(seeds, "minibatches")
         self._rollout: Rollout | None = None
@@ -167,31 +139,9 @@ class PPOLearner(Stateful):
         """
         uniform = torch.from_numpy(self._sampling.uniform(self.config.n_steps, self.config.n_envs))
         by_step = uniform.to(self._device).transpose(0, 1).contiguous()
-        observations = self._seen(self._environments.observations)
-        steps = []
-        final_values = {}  # of the steps in which the step limit truncated an episode
-        for t, numbers in enumerate(by_step.unbind()):
-            actions, log_probs, values = self._answers(observations, numbers)
-            step = self._environments.step(actions)
-            following, rewards = self._environments.observations, step.rewards
-            if self._normalization is not None:
-                self._normalization.update(following, rewards)
-                rewards = self._normalization.rewards(rewards)
-                self._normalization.end(step.terminated | step.truncated)
-            following = self._seen(following)
-            if step.truncated.any():
-                final = self._seen(step.next_observations)
-                final_values[t] = self._answers(final, numbers)[2]
-            ends = step.terminated, step.truncated
-            steps.append((observations, actions, log_probs, values, rewards, *ends))
-            observations = following
-        played = [np.stack(column) for column in zip(*steps, strict=True)]
-        values, truncated = played[3], played[6]
-        last = self._answers(observations, numbers)[2]
-        next_values = np.concatenate((values[1:], last[None]))
-        for t, of_final in final_values.items():
-            next_values[t] = np.where(truncated[t], of_final, next_values[t])
-        self._rollout = Rollout._make((*played, next_values))
+        self._rollout = collect_rollout(
+            self._environments, self._act, by_step, self._seen, self._normalization
+        )
         self.steps += self.rollout_steps
         return self._by_seed(self._rollout.observations), self._by_seed(self._rollout.actions)
 
@@ -200,42 +150,6 @@ class PPOLearner(Stateful):
         if self._normalization is not None:
             return self._normalization.observations(observations)
         return observations if self._standardize is None else self._standardize(observations)
-
-    def _answers(
-        self, observations: Floats, uniform: Tensor
-    ) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Return (S·K,) actions in observations (S·K, obs), their log-probabilities, and values."""
-        by_seed = torch.from_numpy(observations).to(self._device)
-        by_seed = by_seed.view(self._seeds, -1, self._size)
-        with torch.no_grad():
-            answers = self._act(self.networks.flat, by_seed, uniform)
-        actions, log_probs, values = (each.flatten().cpu().numpy() for each in answers)
-        return actions, log_probs, values
-
-    def _decide(
-        self, flat: Tensor, observations: Tensor, uniform: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Draw actions, and evaluate the states.
-
-        Args:
-            flat: (S, P) parameters of `networks`.
-            observations: (S, K, obs) as the agents see them.
-            uniform: (S, K) random numbers in [0, 1).
-
-        Returns:
-            (S, K) actions, their log-probabilities, and the states' values.
-        """
-        parameters = by_name(self._architecture, flat)
-        copies = observations.shape[1]
-        if is_tracing():
-            padding = max(0, LEAST_ROWS - copies)
-            observations = functional.pad(observations, (0, 0, 0, padding))
-            uniform = functional.pad(uniform, (0, padding))
-        log_probs = self._architecture.forward(parameters, observations).log_softmax(dim=-1)
-        actions = sample_softmax(log_probs, uniform)
-        log_prob = log_probs.gather(-1, actions[..., None]).squeeze(-1)
-        values = self._architecture.values(parameters, observations)
-        return actions[:, :copies], log_prob[:, :copies], values[:, :copies]
 
     def improve(self, rewards: Tensor | None = None) -> dict[str, NDArray[np.float64]]:
         """Update policies and value functions on the last rollout.
@@ -378,38 +292,6 @@ def _standardized(advantages: Tensor) -> Tensor:
     """
     deviation = advantages.std(dim=-1, keepdim=True)
     return (advantages - advantages.mean(dim=-1, keepdim=True)) / (deviation + 1e-8)
-
-
-def orthogonal(
-    architecture: ActorCritic, seeds: Sequence[int], purpose: str, device: torch.device
-) -> Network:
-    """Make networks with orthogonal weights, as Stable-Baselines3 initializes them.
-
-    Rows or columns, whichever are fewer, are orthogonal. Their norm is √2 in hidden layers, 0.01
-    in the policy's last layer, so that all actions are about equally likely at first, and 1 in the
-    value function's. Biases are 0.
-
-    Args:
-        architecture: the architecture of each network.
-        seeds: S seeds; equal seeds and purpose give equal networks.
-        purpose: names the stream of random numbers.
-        device: device of the parameters.
-    """
-    streams = Streams(seeds, purpose)
-    network = Network(architecture, torch.zeros(len(seeds), parameter_count(architecture)))
-    gains = {"output.actor.weight": 0.01, "output.critic.weight": 1.0}
-    with torch.no_grad():
-        for name, parameter in network.parameters.items():
-            if name.endswith("bias"):
-                continue
-            rows, columns = parameter.shape[1:]
-            # torch's decomposition, not NumPy's, has the same digits on every machine.
-            normal = torch.from_numpy(streams.normal(max(rows, columns), min(rows, columns)))
-            q, r = torch.linalg.qr(normal)
-            # With the signs of R's diagonal, Q is uniform over all orthogonal matrices.
-            q = q * r.diagonal(dim1=1, dim2=2).sign()[:, None]
-            parameter.copy_(gains.get(name, math.sqrt(2)) * (q if rows >= columns else q.mT))
-    return Network(architecture, network.flat.to(device))
 
 
 def _check_steps(config: PPOConfig, rollout: int, total_timesteps: int) -> None:

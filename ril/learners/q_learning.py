@@ -13,7 +13,8 @@ from torch import Tensor
 from ril.config.fields import at_least, one_of, within
 from ril.learners.td import td_errors, td_losses
 from ril.vectorized.descent import descent, train_on_minibatches
-from ril.vectorized.networks import Network, Parameters, by_name
+from ril.vectorized.layers import Parameters
+from ril.vectorized.networks import Network, by_name
 from ril.vectorized.priorities import Levels, Priorities, draw, importance
 from ril.vectorized.replay import Batch, Replay, indices_below
 from ril.vectorized.state import Stateful

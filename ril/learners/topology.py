@@ -9,7 +9,8 @@ from omegaconf import MISSING
 
 from ril.config.fields import at_least
 from ril.task import Task
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 
 
 @dataclass

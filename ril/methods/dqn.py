@@ -20,7 +20,8 @@ from ril.learners.topology import NetworkConfig, mlp
 from ril.methods.base import Progress
 from ril.methods.spec import EPSILON, TD_LOSS, MethodSpec
 from ril.task import Task
-from ril.vectorized.networks import Architecture, Dueling, Network
+from ril.vectorized.architectures import Dueling
+from ril.vectorized.networks import Architecture, Network
 from ril.vectorized.state import Stateful
 
 

@@ -24,9 +24,10 @@ from ril.methods.ril import (
 )
 from ril.methods.spec import EPSILON, INVERSE_DYNAMICS, TD_LOSS, MethodSpec
 from ril.task import Task
+from ril.vectorized.architectures import Consistent
 from ril.vectorized.compiling import worth_compiling
 from ril.vectorized.losses import cross_entropy
-from ril.vectorized.networks import Consistent, Network
+from ril.vectorized.networks import Network
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.state import Stateful
 

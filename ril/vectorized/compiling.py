@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from torch import Tensor
+from torch.nn import functional
 
 from ril import kernels
 from ril.io.errors import one_line
@@ -108,6 +109,12 @@ def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
 def is_tracing() -> bool:
     """Return whether a function is being traced for `compile_graph`."""
     return _tracing
+
+
+def pad_rows(x: Tensor) -> Tensor:
+    """Pad (S, B, …) with zeros to at least `LEAST_ROWS` rows of each seed."""
+    missing = max(0, LEAST_ROWS - x.shape[1])
+    return functional.pad(x, (0, 0) * (x.dim() - 2) + (0, missing))
 
 
 def _flattened(arguments: Sequence[Any]) -> list[Tensor]:

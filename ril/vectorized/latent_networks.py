@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ril.vectorized.networks import Parameters, apply_linear, linear
+from ril.vectorized.layers import Parameters, apply_linear, linear
 
 
 class Predictions(NamedTuple):

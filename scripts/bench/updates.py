@@ -11,7 +11,8 @@ from torch.nn import functional
 
 from bench.clock import in_turns, seconds, table
 from ril.learners.q_learning import QLearning, TargetNetworkConfig
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.streams import Streams
 

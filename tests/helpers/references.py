@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from ril.learners.kfac import KFACConfig
-from ril.vectorized.networks import MLP, Architecture, Network, parameter_count
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Architecture, Network, parameter_count
 
 
 class SelfAttention(nn.Module):

@@ -8,7 +8,8 @@ import torch
 
 from ril.learners.acting import acting
 from ril.vectorized import compiling
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 
 pytestmark = pytest.mark.skipif(
     not any(shutil.which(name) for name in ("g++", "clang++", "c++")), reason="no C++ compiler"

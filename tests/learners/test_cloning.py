@@ -9,7 +9,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from ril.learners.cloning import Cloning, CloningConfig
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams
 

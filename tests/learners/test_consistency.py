@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ril.learners.consistency import ConsistencyConfig, ConsistentLearning
-from ril.vectorized.networks import MLP, Consistent, Network, parameter_count
+from ril.vectorized.architectures import MLP, Consistent
+from ril.vectorized.networks import Network, parameter_count
 from ril.vectorized.replay import Replay, random_indices
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.streams import Streams

@@ -17,7 +17,7 @@ from ril.learners.discriminator import (
     imitation_reward,
     state_action_pairs,
 )
-from ril.vectorized.networks import MLP
+from ril.vectorized.architectures import MLP
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams
 

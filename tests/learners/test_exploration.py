@@ -13,7 +13,8 @@ from ril.config.schema import Config
 from ril.learners.exploration import Explorer, epsilon_greedy, exploration_ratio, sample_softmax
 from ril.task import Task
 from ril.vectorized import networks
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 
 pytestmark = pytest.mark.quick
 

@@ -11,8 +11,8 @@ from torch.nn import functional
 
 from ril.learners.goal_sampler import Selection
 from ril.learners.inverse_dynamics import InverseDynamics, InverseDynamicsConfig
+from ril.vectorized.architectures import MLP
 from ril.vectorized.losses import cross_entropy
-from ril.vectorized.networks import MLP
 from ril.vectorized.replay import Batch, random_indices
 from ril.vectorized.streams import Streams
 

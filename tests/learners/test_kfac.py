@@ -11,7 +11,8 @@ from torch import Tensor
 
 from ril.learners.exploration import sample_softmax
 from ril.learners.kfac import KFAC, KFACConfig
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 
 #: With a trust region that nothing leaves, and no momentum.
 CONFIG = KFACConfig(

@@ -18,7 +18,8 @@ from ril.io.errors import UserError
 from ril.learners.online_q_learning import OnlineQLearning
 from ril.learners.q_learning import QLearning
 from ril.task import Task
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 from ril.vectorized.streams import Streams
 
 SEEDS = (3, 5)

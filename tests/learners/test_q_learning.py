@@ -11,7 +11,8 @@ from torch.nn import functional
 
 from ril.learners.q_learning import QLearning
 from ril.methods.ril import QLearningConfig
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay, random_indices
 from ril.vectorized.rollout import Episodes

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from torch.nn import functional
 
 from ril.learners.td import action_values, n_step, td_errors, td_losses, td_targets
-from ril.vectorized.networks import MLP
+from ril.vectorized.architectures import MLP
 from ril.vectorized.replay import Batch
 from ril.vectorized.rollout import Episodes
 

@@ -13,7 +13,8 @@ from ril.config.schema import Config
 from ril.methods.bc import BC
 from ril.task import Task
 from ril.vectorized import networks
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 from ril.vectorized.replay import random_indices
 from ril.vectorized.streams import Streams
 

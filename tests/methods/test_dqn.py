@@ -11,8 +11,8 @@ import torch
 from ril.environments import Environment
 from ril.methods.base import Progress
 from ril.methods.dqn import DQN
+from ril.vectorized.architectures import MLP, Dueling
 from ril.vectorized.evaluation import Evaluation
-from ril.vectorized.networks import MLP, Dueling
 
 Make = Callable[..., DQN]
 NEVER_LEARNS = "method.q_learning.learning_starts=9999"

@@ -11,7 +11,7 @@ from ril.config.schema import Config
 from ril.learners.ppo import PPOLearner
 from ril.methods.ppo import PPO
 from ril.task import Task
-from ril.vectorized.networks import Standardized
+from ril.vectorized.architectures import Standardized
 
 Make = Callable[..., Any]
 

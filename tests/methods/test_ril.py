@@ -17,8 +17,9 @@ from ril.learners.inverse_dynamics import InverseDynamics
 from ril.learners.q_learning import QLearning
 from ril.methods.base import Progress
 from ril.methods.ril import Algorithm1
+from ril.vectorized.architectures import MLP
 from ril.vectorized.evaluation import Evaluation
-from ril.vectorized.networks import MLP, Network, greedy
+from ril.vectorized.networks import Network, greedy
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Environments, Episodes
 from ril.vectorized.streams import Streams

@@ -21,8 +21,9 @@ from ril.methods.base import Progress
 from ril.methods.ril import Algorithm1
 from ril.methods.ril_consistent import RILConsistentConfig
 from ril.run.experiment import run
+from ril.vectorized.architectures import MLP, Consistent
 from ril.vectorized.evaluation import Evaluation
-from ril.vectorized.networks import MLP, Consistent, Network
+from ril.vectorized.networks import Network
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes
 

@@ -43,7 +43,7 @@ from ril.report.mountaincar import (
     play,
     step,
 )
-from ril.vectorized.networks import MLP
+from ril.vectorized.architectures import MLP
 
 ALL_STATES = cells().reshape(-1, 2)
 RANDOM = np.random.default_rng(0)

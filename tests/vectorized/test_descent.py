@@ -14,9 +14,10 @@ from ril.learners.goal_sampler import Selection
 from ril.learners.inverse_dynamics import InverseDynamics, InverseDynamicsConfig
 from ril.learners.q_learning import QLearning, TargetNetworkConfig
 from ril.vectorized import compiling
+from ril.vectorized.architectures import MLP, Dueling
 from ril.vectorized.compiling import compile_graph, worth_compiling
 from ril.vectorized.descent import train_on_minibatches
-from ril.vectorized.networks import MLP, Architecture, Dueling, Network
+from ril.vectorized.networks import Architecture, Network
 from ril.vectorized.priorities import Priorities
 from ril.vectorized.replay import Replay
 from ril.vectorized.rollout import Episodes

@@ -7,7 +7,8 @@ import torch
 from helpers.references import Adam, copies_of, flat_of, gradients_of, random_network
 from torch import Tensor
 
-from ril.vectorized.networks import MLP, Network
+from ril.vectorized.architectures import MLP
+from ril.vectorized.networks import Network
 from ril.vectorized.updates import ClippedAdam
 
 ARCHITECTURE = MLP(inputs=3, hidden=(6, 4), outputs=2)
