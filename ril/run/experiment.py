@@ -14,6 +14,7 @@ from ril.run.prepare import prepare
 from ril.run.provenance import command, digits
 from ril.run.training import Display, Run, measure_reference, train_and_score
 from ril.run.write import write_results, write_start
+from ril.vectorized.compiling import fallbacks
 
 
 def run(config: Config, display: Display, variant: str = "") -> Path:
@@ -38,6 +39,7 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
             display.finished(cell.folder / "results.csv", skipped=True)
             return cell.folder
         refuse_changed_demonstrations(cell.folder, config, cell.demonstrations.sha256)
+    fallbacks()  # those of an earlier run of this process
     method = cell.build_method()
 
     def waits_for(holder: str) -> None:

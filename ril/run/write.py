@@ -17,6 +17,7 @@ from ril.policy import save_policies
 from ril.run.earlier import DAMAGED
 from ril.run.prepare import Cell
 from ril.run.provenance import digits, provenance
+from ril.vectorized.compiling import fallbacks
 from ril.run.training import Outcome
 from ril.vectorized.evaluation import random_returns
 
@@ -77,6 +78,9 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
     aer = outcome.best.mean(axis=1)
     performance = (aer - random) / (expert - random) if expert != random else aer * math.nan
     ablation = dataclasses.asdict(config.ablation) | dict.fromkeys(cell.spec.idle_ablations)
+    kind, problems = digits(config), fallbacks()
+    if kind == "exact" and problems:
+        kind = f"not compiled: {problems[0]}"
     return [
         Row(
             run_id=cell.run_id,
@@ -100,7 +104,7 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
             expert_return_measured=expert,
             wall_seconds=round(outcome.seconds, 2),
             commit=commit,
-            digits=digits(config),
+            digits=kind,
         )
         for index, seed in enumerate(config.seeds)
     ]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -28,7 +30,12 @@ _WORTHWHILE = 15_000
 #: vector register, and round differently from those of several seeds.
 LEAST_ROWS = 16
 
+#: torch's message about a library that is not completely written.
+_UNFINISHED = re.compile(r"ImportError: (.+?\.so): (?:file too short|invalid ELF header)")
+_ABANDONED_SECONDS = 10  # since the last change of such a file; writing takes less than one
+
 _tracing = False
+_fallbacks: list[str] = []
 
 #: torch's options that make a graph's digits the same on every machine (`ril.kernels`).
 _EXACT: dict[str, Any] = {
@@ -58,7 +65,7 @@ def worth_compiling(wanted: bool | str, updates: int) -> bool:
     header = Path(sysconfig.get_path("include"), "Python.h")
     if any(shutil.which(name) for name in _compilers()) and header.exists():
         return True
-    _warn(f"no C++ compiler found ({', '.join(_compilers())}), or {header} is missing")
+    _fall_back(f"no C++ compiler found ({', '.join(_compilers())}), or {header} is missing")
     return False
 
 
@@ -92,18 +99,35 @@ def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
 
     def call(*arguments: Any) -> Any:
         tensors = _flattened(arguments)
-        if not graphs:
+        while not graphs:
             try:
-                graph = _compiled(function, arguments, tensors)
+                graphs.append(_compiled(function, arguments, tensors))
             except Exception as error:  # torch's compiler errors share no base class
-                if "ImportError" not in str(error):
+                if not _unfinished_file_passed(error):
                     raise
-                time.sleep(3)  # another process was writing the same file of the cache
-                graph = _compiled(function, arguments, tensors)
-            graphs.append(graph)
         return graphs[0](*tensors)
 
     return call
+
+
+def _unfinished_file_passed(error: Exception) -> bool:
+    """Wait for the process that is writing a file of torch's cache, or remove a killed one's file.
+
+    torch does not do so, and would never again compile a graph whose file is unfinished.
+
+    Returns:
+        Whether the error was about such a file, so that compiling again makes sense.
+    """
+    found = _UNFINISHED.search(str(error))
+    if found is None:
+        return False
+    with contextlib.suppress(FileNotFoundError):  # another process has removed it
+        file = Path(found[1])
+        if time.time() - file.stat().st_mtime > _ABANDONED_SECONDS:
+            file.unlink()
+        else:
+            time.sleep(1)
+    return True
 
 
 def is_tracing() -> bool:
@@ -184,7 +208,7 @@ def with_fallback(compiled: Callable[..., Any], eager: Callable[..., Any]) -> Ca
             try:
                 answer = compiled(*arguments)
             except Exception as error:  # torch's compiler errors share no base class
-                _warn(f"cannot compile here ({_cause(error)})")
+                _fall_back(f"cannot compile here ({_cause(error)})")
                 chosen.append(eager)
             else:
                 chosen.append(compiled)
@@ -199,7 +223,18 @@ def _cause(error: Exception) -> str:
     return f"{type(error).__name__}: {one_line(error)[:120]}"
 
 
-@functools.cache  # print each line once, however many functions it concerns
-def _warn(problem: str) -> None:
-    line = f"ril: {problem}; training without compiling: slower, and with other last digits"
+def _fall_back(problem: str) -> None:
+    _fallbacks.append(problem)
+    _print_once(f"ril: {problem}; training without compiling: slower, and with other last digits")
+
+
+@functools.cache
+def _print_once(line: str) -> None:
     print(line, file=sys.stderr)
+
+
+def fallbacks() -> list[str]:
+    """Return why functions were not compiled although that was wanted, since the last call."""
+    found = list(_fallbacks)
+    _fallbacks.clear()
+    return found

@@ -10,7 +10,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import NamedTuple
+from unittest.mock import patch
+
+from ril import kernels
 
 #: `ril-run` that prints its own peak memory at exit. (The system's figure for a child process
 #: includes memory of its parent.)
@@ -40,6 +45,17 @@ def in_turns(sides: Mapping[str, Callable[[], float]], rounds: int) -> dict[str,
         for name, side in sides.items():
             measured[name].append(side())
     return {name: statistics.median(values) for name, values in measured.items()}
+
+
+def with_own_kernels(work: Callable[[], float]) -> float:
+    """Return what `work` measures in a process of its own, without ril's fixed kernels.
+
+    Other libraries are measured so, because the fixed kernels may be slower than their own.
+    """
+    kept = {name: value for name, value in os.environ.items() if name not in kernels.LEVEL}
+    alone = ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+    with patch.dict(os.environ, kept | {"RIL_EXACT": "false"}, clear=True), alone:
+        return alone.submit(work).result()
 
 
 class Cost(NamedTuple):

@@ -10,11 +10,12 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import torch
 from matched_dqn import composed, stable_baselines_dqn
 from rich.console import Console
 from stable_baselines3.common.callbacks import BaseCallback
 
-from bench.clock import in_turns, seconds, table
+from bench.clock import in_turns, seconds, table, with_own_kernels
 from ril.cli.display import ConsoleDisplay
 from ril.config.schema import Config
 from ril.environments import load_environment
@@ -81,6 +82,7 @@ class _Clock(BaseCallback):
 def stable_baselines_rate(config: Config) -> float:
     """Return Stable-Baselines3's steps per second of one seed."""
     assert isinstance(config.method, DQNConfig)
+    torch.set_num_threads(1)
     model = stable_baselines_dqn(config.method, load_environment(config.env), seed=0)
     clock, total = _Clock(), config.method.total_timesteps
     model.learn(total, clock)
@@ -131,7 +133,7 @@ def dqn(rounds: int, steps: int, settings: int, sbx: Path | None) -> str:
     for name, overrides in list(SETTINGS.items())[:settings]:
         config = configured(overrides, steps)
         sides = {
-            "SB3": partial(stable_baselines_rate, config),
+            "SB3": partial(with_own_kernels, partial(stable_baselines_rate, config)),
             "eager": partial(ril_rate, config, compiled=False),
             "compiled": partial(ril_rate, config, compiled=True),
         }

@@ -6,11 +6,12 @@ import time
 from dataclasses import replace
 from functools import partial
 
+import torch
 from matched_dqn import composed
 from matched_ppo import stable_baselines_ppo
 from stable_baselines3.common.callbacks import BaseCallback
 
-from bench.clock import in_turns, table
+from bench.clock import in_turns, table, with_own_kernels
 from ril.config.schema import Config
 from ril.environments import load_environment
 from ril.methods.gail import GAIL, GAILConfig
@@ -66,6 +67,7 @@ class _Clock(BaseCallback):
 def stable_baselines_rate(config: Config) -> float:
     """Return Stable-Baselines3's steps per second of one agent."""
     assert isinstance(config.method, PPOMethodConfig | GAILConfig)
+    torch.set_num_threads(1)
     make = load_environment(config.env).make
     model, clock = stable_baselines_ppo(config.method.ppo, make, seed=0), _Clock()
     model.learn(config.method.total_timesteps, clock)
@@ -87,7 +89,7 @@ def ppo_and_gail(rounds: int, steps: int) -> str:
         for name, env in ENVIRONMENTS.items():
             config = configured(method, env, steps)
             sides = {
-                "SB3": partial(stable_baselines_rate, config),
+                "SB3": partial(with_own_kernels, partial(stable_baselines_rate, config)),
                 "eager": partial(ril_rate, config, seeds=SEEDS, compiled=False),
                 "compiled": partial(ril_rate, config, seeds=SEEDS, compiled=True),
                 "alone": partial(ril_rate, config, seeds=1, compiled=True),

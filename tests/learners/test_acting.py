@@ -67,7 +67,7 @@ def test_where_compiling_fails_acting_is_eager(
     def broken(*_: object) -> None:
         raise RuntimeError("C++ compile error")
 
-    compiling._warn.cache_clear()
+    compiling._print_once.cache_clear()
     monkeypatch.setattr(compiling, "_compiled", broken)
     found = actions("softmax", compiled=True)
     np.testing.assert_array_equal(found, actions("softmax", compiled=False))

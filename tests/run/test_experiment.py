@@ -112,6 +112,15 @@ def test_provenance_names_the_run_and_its_demonstrations(
     assert kept["versions"]["torch"] == version("torch")
 
 
+def test_rows_say_that_compiling_was_impossible(
+    monkeypatch: pytest.MonkeyPatch, quick: Any
+) -> None:
+    monkeypatch.setenv("CXX", "missing")
+    rows = table(run(quick("compile=true"), Silence()), "results.csv")
+    assert rows["digits"].str.startswith("not compiled: no C++ compiler found (missing)").all()
+    assert (table(run(quick("seeds=[7]"), Silence()), "results.csv")["digits"] == "exact").all()
+
+
 def plain_returns(folder: Path, seed: int, which: str, episodes: int) -> list[float]:
     """Returns of a saved policy on the fresh episodes of a result, by a plain Gymnasium loop."""
     policy, copy = load_policy(folder / "policy.pt", seed, which), gym.make("CartPole-v1")

@@ -239,7 +239,7 @@ def test_it_compiles_as_wanted_or_where_it_pays(wanted: Any, updates: int, compi
 @pytest.fixture
 def unsaid() -> None:
     """What is said once only has not been said yet."""
-    compiling._warn.cache_clear()
+    compiling._print_once.cache_clear()
 
 
 @pytest.mark.parametrize("wanted", [True, "auto"])
