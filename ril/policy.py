@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.environments import Environment, Floats
+from ril.environments.environment import Environment, Floats
 from ril.io.errors import UserError
 from ril.io.files import tensor_bytes, write_atomically
 from ril.vectorized.architectures import MLP, Dueling, Standardized

@@ -8,7 +8,7 @@ import torch
 
 from ril.config.schema import AblationConfig
 from ril.demonstrations.trajectories import StateTransitions
-from ril.environments import Environment
+from ril.environments.environment import Environment
 
 
 @dataclass(frozen=True)

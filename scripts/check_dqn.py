@@ -27,7 +27,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from ril.environments import Environment, load_environment
+from ril.environments.environment import Environment, load_environment
 from ril.learners.online_q_learning import EPOCHS
 from ril.methods.dqn import DQNConfig
 

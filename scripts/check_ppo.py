@@ -33,7 +33,7 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from ril.environments import Environment, load_environment
+from ril.environments.environment import Environment, load_environment
 from ril.methods.ppo import PPOMethodConfig
 
 SHARES = 0.25, 0.5, 1  # of the budget; policies are scored after each

@@ -39,7 +39,7 @@ from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 
 from ril.demonstrations.files import shipped_path  # noqa: E402
-from ril.environments import Environment, load_environment  # noqa: E402
+from ril.environments.environment import Environment, load_environment  # noqa: E402
 
 COPIES, STEPS = 8, 128  # one rollout is 8 environments × 128 steps
 ROLLOUT = COPIES * STEPS

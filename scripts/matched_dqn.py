@@ -9,7 +9,7 @@ from stable_baselines3 import DQN
 
 from ril.cli.configuration import from_hydra, store_schemas
 from ril.config.schema import Config
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.paths import config_folder
 from ril.methods.dqn import DQNConfig
 

@@ -29,7 +29,7 @@ from hypothesis import settings
 from ril.cli.configuration import from_hydra
 from ril.cli.run import main
 from ril.config.schema import Config
-from ril.environments import Environment, load_environment
+from ril.environments.environment import Environment, load_environment
 from ril.experts.collection import save
 from ril.methods.base import Method
 from ril.methods.registry import spec

@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers.references import copies_of, random_network
 
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 from ril.policy import load_policy, save_policies
 from ril.vectorized.architectures import MLP, Dueling, Standardized

@@ -129,6 +129,8 @@ def cell_command(overrides: Sequence[str], sources: Iterable[Any]) -> list[str]:
 
 def in_one_line(error: Exception) -> str:
     """Describe a mistake in the user's terms."""
+    if isinstance(error, UserError):
+        return one_line(error)
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, choice = error.missing_cfg_file.rpartition("/")
         if not group:

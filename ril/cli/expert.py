@@ -57,6 +57,8 @@ def _run(composed: DictConfig) -> None:
             record = make_expert(config, command, on_step)
     except MISTAKES as error:
         refuse(error)  # here, since Hydra would add a line of its own
+    for doubt in record["doubts"]:
+        console.print(doubt, soft_wrap=True, markup=False)
     returns, first = record["returns"], record["first"]
     console.print(
         f"{config.output}: {record['episodes']} episodes with return {returns['mean']:.2f} ± "

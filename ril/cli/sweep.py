@@ -16,7 +16,7 @@ from ril.cli.command import MISTAKES, SWEEP_GROUPS, cell_command, in_one_line
 from ril.cli.configuration import from_hydra
 from ril.config.schema import Config
 from ril.demonstrations.files import demonstrations_path, load_demonstrations
-from ril.environments import load_environment
+from ril.environments.environment import load_environment
 from ril.io.errors import UserError
 from ril.run.earlier import has_rows
 from ril.run.identity import run_folder

@@ -12,7 +12,7 @@ from ril.config.schema import Config
 from ril.demonstrations.layouts import DataError, Trajectories, read_npz
 from ril.demonstrations.minari import data_folder, read_minari
 from ril.demonstrations.trajectories import Demonstrations
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 
 SHIPPED = Path(__file__).parent / "data"

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Floats
+from ril.environments.environment import Floats
 
 Arrays = Mapping[str, NDArray[Any]]
 

@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, Space
 
 from ril.demonstrations.layouts import DataError, Trajectories, from_own
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import one_line
 
 

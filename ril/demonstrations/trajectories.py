@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats
+from ril.environments.environment import Environment, Floats
 from ril.io.errors import UserError
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats
+from ril.environments.environment import Environment, Floats
 
 Policy = Callable[[Floats], NDArray[np.integer]]  # (N, obs) raw observations -> (N,) actions
 

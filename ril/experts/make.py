@@ -9,6 +9,7 @@ import os
 import platform
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ril.environments import load_environment
+from ril.environments.environment import load_environment
+from ril.environments.examination import examine
 from ril.experts.collection import Episode, put_first, save
 from ril.experts.training import ExpertConfig, OnStep, train
 from ril.io.errors import UserError
@@ -42,7 +44,9 @@ def make_expert(config: ExpertConfig, command: str, on_step: OnStep) -> dict[str
     _check(config)
     environment = load_environment(config.env)
     started = time.monotonic()
-    collected, steps, evaluation_mean = train(config, environment, on_step)
+    with closing(environment):
+        doubts = examine(environment)
+        collected, steps, evaluation_mean = train(config, environment, on_step)
     episodes = put_first(collected, config.first_length, config.target_return, config.margin)
     record = {
         "command": command,
@@ -63,6 +67,7 @@ def make_expert(config: ExpertConfig, command: str, on_step: OnStep) -> dict[str
             "return": episodes[0].total_reward,
             "collected_as": collected.index(episodes[0]),
         },
+        "doubts": list(doubts),
         "reset_seeds": [e.seed for e in episodes],
         "wall_seconds": round(time.monotonic() - started, 1),
     }

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from omegaconf import MISSING
 
 from ril.config.schema import EnvironmentConfig
-from ril.environments import Environment, Floats
+from ril.environments.environment import Environment, Floats
 from ril.experts.collection import Episode, play
 from ril.io.errors import UserError, one_line
 

@@ -11,3 +11,10 @@ class UserError(Exception):
 
     The message names the key and its value, or the file, and says what is allowed.
     """
+
+
+class NotFiniteError(UserError):
+    """A number of a run is not finite, so that its results would mean nothing.
+
+    The message says where: an observation, a reward, a loss or a parameter.
+    """

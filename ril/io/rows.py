@@ -131,7 +131,7 @@ def load_results(folders: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
         the reason.
     """
     faults = Faults()
-    rows = read_tables(_files(folders, faults), _KINDS, faults)
+    rows = read_tables(find_files(folders, "results.csv", faults), _KINDS, faults)
     has_scale = rows["expert_return_measured"] != rows["random_return"]
     no_performance = rows["performance"].isna() & has_scale
     rows = _without(rows, no_performance, "performance is '', must be a finite number", faults)
@@ -176,8 +176,14 @@ def load_curves(rows: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     return found.astype({"epoch": int, "samples": int}), faults.messages()
 
 
-def _files(folders: Sequence[Path], faults: Faults) -> list[Path]:
-    """Find every `results.csv` below some folders, each once, the oldest first."""
+def find_files(folders: Sequence[Path], name: str, faults: Faults) -> list[Path]:
+    """Find every file of a name below some folders, each once, the oldest first.
+
+    Args:
+        folders: where to search, at any depth; links are followed.
+        name: the file's name.
+        faults: records each folder that cannot be read.
+    """
 
     def refused(error: OSError) -> None:
         if not isinstance(error, FileNotFoundError):  # a missing folder holds no rows
@@ -192,8 +198,8 @@ def _files(folders: Sequence[Path], faults: Faults) -> list[Path]:
                 below.clear()
                 continue
             seen.add(real)
-            if "results.csv" in (*below, *names):
-                file = Path(parent) / "results.csv"
+            if name in (*below, *names):
+                file = Path(parent) / name
                 found.setdefault(os.path.realpath(file), file)
     return sorted(found.values(), key=lambda file: (file.lstat().st_mtime_ns, file))
 

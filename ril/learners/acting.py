@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ril.environments import Floats, Integers
+from ril.environments.environment import Floats, Integers
 from ril.learners.exploration import epsilon_greedy
 from ril.vectorized.compiling import compile_graph, pad_rows, with_fallback
 from ril.vectorized.networks import Network, by_name

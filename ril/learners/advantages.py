@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Floats
+from ril.environments.environment import Floats
 
 
 def generalized_advantages(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ril.config.fields import one_of, within
-from ril.environments import Floats, Integers
+from ril.environments.environment import Floats, Integers
 from ril.task import Task
 from ril.vectorized.networks import Network, greedy
 from ril.vectorized.rollout import Environments, Episodes

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from ril.config.fields import part
 from ril.config.schema import GoalConfig, MethodConfig
-from ril.environments import Floats, Integers, reaches_goal
+from ril.environments.environment import Floats, Integers
+from ril.environments.goal import reaches_goal
 from ril.io.errors import UserError
 from ril.learners.cloning import CloningConfig
 from ril.learners.exploration import ExplorationConfig, exploration_ratio, sample_softmax

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Floats
+from ril.environments.environment import Floats
 from ril.vectorized.state import Stateful
 
 #: Normalized observations and rewards are clipped to ±CLIP.

@@ -13,7 +13,7 @@ from omegaconf import MISSING
 from torch import Tensor
 
 from ril.config.fields import at_least, within
-from ril.environments import Floats
+from ril.environments.environment import Floats
 from ril.io.errors import UserError
 from ril.learners.advantages import generalized_advantages
 from ril.learners.normalization import CLIP, Normalization, RunningMoments, Standardization

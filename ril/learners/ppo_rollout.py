@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.environments import Floats
+from ril.environments.environment import Floats
 from ril.learners.exploration import sample_softmax
 from ril.learners.normalization import Normalization
 from ril.vectorized.architectures import ActorCritic

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ril.config.fields import at_least, part, within
 from ril.config.schema import MethodConfig
-from ril.environments import Floats
+from ril.environments.environment import Floats
 from ril.learners.advantages import generalized_advantages
 from ril.learners.exploration import sample_softmax
 from ril.learners.kfac import KFAC, KFACConfig

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ril.config.schema import MethodConfig
 from ril.demonstrations.trajectories import Demonstrations
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.methods.spec import MethodSpec
 
 

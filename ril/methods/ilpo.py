@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from ril.config.fields import part, within
 from ril.config.schema import MethodConfig
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 from ril.learners.exploration import epsilon_greedy
 from ril.learners.latent_policy import LatentPolicyConfig, latent_loss, nearest_latents

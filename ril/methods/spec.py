@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ril.config.schema import MethodConfig
 from ril.demonstrations.trajectories import Demonstrations, StateTransitions
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.methods.base import Method
 from ril.task import Task
 

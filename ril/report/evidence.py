@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ril.io.ended import Ended, load_ended
 from ril.io.rows import load_curves, load_results
 from ril.report.paper.tables import Setting, Table, known_methods
 
@@ -29,11 +30,13 @@ class Evidence:
             reported seeds only, default and overridden configurations alike.
         curves: a row per evaluation during training: run_id, seed, epoch, samples, aer.
         skipped: files and lines that could not be used, a line each.
+        ended: runs that ended without rows.
     """
 
     rows: pd.DataFrame
     curves: pd.DataFrame
     skipped: tuple[str, ...] = ()
+    ended: tuple[Ended, ...] = ()
 
     @classmethod
     def of(cls, folders: Sequence[Path]) -> Evidence:
@@ -41,7 +44,9 @@ class Evidence:
         rows, bad_rows = load_results(folders)
         rows = rows[rows["seed"] < TUNING_SEEDS].reset_index(drop=True)
         curves, bad_curves = load_curves(rows)
-        return cls(rows, curves, (*bad_rows, *bad_curves))
+        ended, bad_ended = load_ended(folders)
+        reported = [run for run in ended if min(run.seeds, default=0) < TUNING_SEEDS]
+        return cls(rows, curves, (*bad_rows, *bad_curves, *bad_ended), tuple(reported))
 
     @property
     def beyond(self) -> tuple[str, ...]:
@@ -81,6 +86,20 @@ class Evidence:
             )
         ]
         return self.rows.iloc[np.sort(np.concatenate([np.empty(0, np.int64), *fitting]))]
+
+    def ended_of(self, setting: Setting) -> list[Ended]:
+        """Return the runs of a setting that ended without rows."""
+        of = setting.method_key, setting.env, "", setting.expert_return
+        numbers = setting.trajectories, setting.k, setting.n
+        return [
+            run
+            for run in self.ended
+            if (run.method, run.env, run.variant, run.expert_return) == of
+            and all(
+                x is None or x == y
+                for x, y in zip((run.trajectories, run.k, run.n), numbers, strict=True)
+            )
+        ]
 
     def of_setting(self, setting: Setting) -> pd.DataFrame:
         """Return the rows reported for a setting, one per seed; empty if there are none."""

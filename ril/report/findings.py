@@ -151,6 +151,7 @@ def _excluded(setting: Setting, rows: pd.DataFrame, evidence: Evidence) -> tuple
         found.append(f"{used} of {runs} runs used, those of the budget with the most seeds")
     if variants := evidence.matching(setting, variants=True)["run_id"].nunique():
         found.append(f"{variants} run{'s' * (variants > 1)} with overridden keys excluded")
+    found += dict.fromkeys(run.why for run in evidence.ended_of(setting))
     return tuple(found)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import log_softmax, softmax
 
-from ril.environments import Floats
+from ril.environments.environment import Floats
 from ril.policy import load_policy
 
 ACTIONS = ("left", "none", "right")

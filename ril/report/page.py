@@ -12,6 +12,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from ril.io.ended import Ended
 from ril.io.paths import docs_folder
 from ril.report import layout
 from ril.report.deviations import documents
@@ -57,6 +58,7 @@ class Report:
         contradictions: within the paper.
         runs: provenance of the rows.
         skipped: files and lines that could not be used, a line each.
+        ended: runs that ended without rows.
     """
 
     score: str
@@ -68,6 +70,7 @@ class Report:
     contradictions: Sequence[Contradiction]
     runs: Sequence[Run]
     skipped: Sequence[str]
+    ended: Sequence[Ended] = ()
 
 
 @dataclass(frozen=True)

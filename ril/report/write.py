@@ -64,6 +64,8 @@ def write(wanted: Wanted) -> None:
         console.print(f"no rows in {where}", soft_wrap=True, markup=False)
     for line in evidence.skipped:
         console.print(f"skipped: {line}", soft_wrap=True, markup=False)
+    for run in evidence.ended:
+        console.print(str(run), soft_wrap=True, markup=False)
     if "results" in wanted.targets:
         with console.status("writing results"):
             written = _results(wanted, evidence)
@@ -155,6 +157,7 @@ def _page(wanted: Wanted, evidence: Evidence, tables: list[Results], console: Co
             contradictions=audit(),
             runs=runs(evidence.rows),
             skipped=evidence.skipped,
+            ended=evidence.ended,
         )
     )
     with _writable(wanted.to):

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 from ril.config.schema import Config
-from ril.io.errors import UserError
+from ril.environments.examination import examine
+from ril.io.errors import NotFiniteError, UserError, one_line
 from ril.io.files import WriteError
 from ril.io.locks import claimed
 from ril.io.signals import Stopped, stop_on_signals
 from ril.run.earlier import has_rows, refuse_changed_demonstrations
-from ril.run.prepare import prepare
+from ril.run.prepare import Cell, prepare
 from ril.run.provenance import command, digits
 from ril.run.training import Display, Run, measure_reference, train_and_score
-from ril.run.write import write_results, write_start
+from ril.run.write import write_end, write_results, write_start
 from ril.vectorized.compiling import fallbacks
 
 
@@ -34,11 +36,25 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
         Stopped: the user stopped it; the message says how to resume.
     """
     cell = prepare(config)
+    try:
+        with closing(cell.environment):
+            return _run(cell, display, variant)
+    except MemoryError as error:
+        raise UserError(
+            f"out of memory: {one_line(error)}; fewer seeds, shorter episodes, or a smaller replay "
+            "memory need less"
+        ) from error
+
+
+def _run(cell: Cell, display: Display, variant: str) -> Path:
+    """Train and score a prepared cell; return its folder."""
+    config = cell.config
     if config.resume:
         if has_rows(cell.folder, config):
             display.finished(cell.folder / "results.csv", skipped=True)
             return cell.folder
         refuse_changed_demonstrations(cell.folder, config, cell.demonstrations.sha256)
+    doubts = examine(cell.environment)
     fallbacks()  # those of an earlier run of this process
     method = cell.build_method()
 
@@ -63,15 +79,21 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
                 )
             if config.exact and (why := digits(config)) != "exact":
                 display.noted(f"{why}: last digits may differ from other machines'")
-            commit = write_start(claim.folder, cell)
+            for doubt in doubts:
+                display.noted(doubt)
+            commit = write_start(claim.folder, cell, doubts)
             stop.immediate = method is None  # measuring a reference can be repeated
             display.started(config, claim.folder, 0 if method is None else method.epochs)
-            if method is None:
-                outcome = measure_reference(cell)
-            else:
-                outcome = train_and_score(Run(cell, method, claim, stop), display)
-            claim.check()
-            write_results(claim.folder, cell, outcome, variant, commit)
+            try:
+                if method is None:
+                    outcome = measure_reference(cell)
+                else:
+                    outcome = train_and_score(Run(cell, method, claim, stop), display)
+                claim.check()
+                write_results(claim.folder, cell, outcome, variant, commit)
+            except NotFiniteError as error:
+                write_end(claim.folder, cell, variant, f"ended: {error}")
+                raise UserError(f"{error}; the run ended without rows") from error
     except Stopped as stopped:
         raise Stopped(f"{stopped}{resume}", stopped.number) from None
     except WriteError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import platform
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +13,14 @@ import torch
 from ril.config.schema import Config
 from ril.demonstrations.files import check_level, demonstrations_path, load_demonstrations
 from ril.demonstrations.trajectories import Demonstrations
-from ril.environments import Environment, load_environment
+from ril.environments.environment import Environment, load_environment
 from ril.io.errors import UserError
 from ril.methods.base import Method
 from ril.methods.registry import spec
 from ril.methods.spec import MethodSpec
 from ril.run.identity import run_folder
 from ril.task import Task
+from ril.vectorized.evaluation import RANDOM_COPIES
 
 _MMAP_THRESHOLD, _TRIM_THRESHOLD = -3, -1  # parameters of malloc.h
 
@@ -82,6 +84,7 @@ def prepare(config: Config) -> Cell:
     torch.set_num_threads(1)
     _keep_memory()
     environment = load_environment(config.env)
+    _check_memory(config, environment)
     _check_device(config.device)
     path = demonstrations_path(config)
     demonstrations = load_demonstrations(path, environment)
@@ -95,6 +98,26 @@ def prepare(config: Config) -> Cell:
         path,
         run_folder(config, demonstrations.sha256),
     )
+
+
+def _check_memory(config: Config, environment: Environment) -> None:
+    """Refuse episodes whose random actions, drawn before they are played, do not fit in memory."""
+    seeds = len(config.seeds) if config.method.name == "random" else 1
+    needed = 8 * RANDOM_COPIES * seeds * environment.max_episode_steps
+    if (available := _physical_memory()) and needed > available / 2:
+        raise UserError(
+            f"env.id={config.env.id}: max_episode_steps={environment.max_episode_steps}: random "
+            f"episodes need {needed / 2**30:.0f} GiB of memory, half of {available / 2**30:.0f} "
+            "GiB is allowed; give a smaller env.kwargs.max_episode_steps"
+        )
+
+
+def _physical_memory() -> int | None:
+    """Return the machine's memory in bytes; None where the system does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return None
 
 
 def _keep_memory() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -10,8 +12,10 @@ from typing import Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ril.config.schema import Config
+from ril.io.errors import NotFiniteError
 from ril.io.files import WriteError
 from ril.io.locks import Claim
 from ril.io.signals import Stopped, StopRequest
@@ -123,7 +127,8 @@ def train_and_score(run: Run, display: Display) -> Outcome:
     policy, returns = run.method.policy, []
     for parameters in (record.best, record.last):
         policy.flat.copy_(parameters)
-        returns.append(evaluation.returns(policy, config.evaluation.episodes, "of the result"))
+        with _located("while scoring"):
+            returns.append(evaluation.returns(policy, config.evaluation.episodes, "of the result"))
     best, last = returns
     seconds = before + time.monotonic() - started
     return Outcome(record, best, last, seconds, policy.architecture)
@@ -135,7 +140,13 @@ def _train(run: Run, record: Record, evaluation: Evaluation, display: Display) -
     interval = settings.interval(method.epochs)
     checkpoints = _Checkpoints(run, record, display)
     checkpoints.load()
-    for progress in method.train():
+    epochs = method.train()
+    while True:
+        with _located(f"in epoch {record.epochs.max() + 1}"):
+            progress = next(epochs, None)
+        if progress is None:
+            break
+        _check_finite(progress, method.policy.flat, record)
         live = ~record.stopped
         just_stopped = record.advance(progress, method.policy.flat)
         regular = progress.epoch == method.epochs or progress.epoch % interval == 0
@@ -147,7 +158,8 @@ def _train(run: Run, record: Record, evaluation: Evaluation, display: Display) -
                 right = progress.pseudo_labels == run.cell.given.actions
                 metrics["label_accuracy"] = right.mean(axis=1)
             purpose = f"after epoch {progress.epoch}"
-            returns = evaluation.returns(method.policy, settings.selection_episodes, purpose)
+            with _located(f"in the evaluation {purpose}"):
+                returns = evaluation.returns(method.policy, settings.selection_episodes, purpose)
             record.evaluated(
                 returns.mean(axis=1), evaluated, metrics, may_be_best=progress.can_be_best
             )
@@ -162,6 +174,40 @@ def _train(run: Run, record: Record, evaluation: Evaluation, display: Display) -
             raise Stopped(f"stopped after epoch {progress.epoch}{checkpoints.fault}", stop.number)
     checkpoints.save()
     return checkpoints.seconds_before
+
+
+@contextmanager
+def _located(where: str) -> Iterator[None]:
+    """Say where in a run the environment returned a number that is not finite.
+
+    Raises:
+        NotFiniteError: it did so within the block.
+    """
+    try:
+        yield
+    except NotFiniteError as error:
+        raise NotFiniteError(f"{error}, {where}") from error
+
+
+def _check_finite(progress: Progress, policies: Tensor, record: Record) -> None:
+    """Refuse an epoch whose losses or policies are not finite.
+
+    Raises:
+        NotFiniteError: a number is not; the message names it, the epoch, and the seeds.
+    """
+    # Online Q-learning has no `td_loss` in epochs without updates. Should it diverge, the policies,
+    # which it trains, show it.
+    found = {
+        name: np.isfinite(values) | (np.isnan(values) & (name == "td_loss"))
+        for name, values in progress.metrics.items()
+        if name.endswith("_loss")
+    }
+    found["a parameter of the policy"] = torch.isfinite(policies).all(dim=1).cpu().numpy()
+    for name, is_finite in found.items():
+        if not is_finite.all():
+            seeds = [seed for seed, fine in zip(record.seeds, is_finite, strict=True) if not fine]
+            of = f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}"
+            raise NotFiniteError(f"{name} of {of} is not finite since epoch {progress.epoch}")
 
 
 class _Checkpoints:

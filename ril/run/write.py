@@ -5,11 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from ril.io import ended
+from ril.io.ended import Ended, write_ended
 from ril.io.errors import UserError
 from ril.io.files import write_atomically
 from ril.io.rows import Row, write_csv
@@ -17,27 +20,29 @@ from ril.policy import save_policies
 from ril.run.earlier import DAMAGED
 from ril.run.prepare import Cell
 from ril.run.provenance import digits, provenance
-from ril.vectorized.compiling import fallbacks
 from ril.run.training import Outcome
+from ril.vectorized.compiling import fallbacks
 from ril.vectorized.evaluation import random_returns
 
 #: What a resumed run adds to its provenance.
 _AGAIN = ("command", "started", "commit", "processor", "digits")
 
 
-def write_start(folder: Path, cell: Cell) -> str:
+def write_start(folder: Path, cell: Cell, doubts: Sequence[str]) -> str:
     """Write `config.yaml` and `provenance.json`; return the commit of the run's first start.
 
     Args:
         folder: the run's folder.
         cell: the cell that is run.
+        doubts: the lines about its environment, for `provenance.json`.
 
     Raises:
         UserError: the run is resumed, and the provenance of its first start cannot be read.
     """
     sha256 = cell.demonstrations.sha256
     now = provenance(cell.demonstrations_path, sha256, cell.config)
-    details = _with_first_start(folder, {"run_id": cell.run_id, **now})
+    (folder / ended.FILE).unlink(missing_ok=True)
+    details = _with_first_start(folder, {"run_id": cell.run_id, **now, "doubts": list(doubts)})
     settings = yaml.safe_dump(dataclasses.asdict(cell.config), sort_keys=False, allow_unicode=True)
     write_atomically(folder / "config.yaml", settings.encode())
     commit: str = details["commit"]
@@ -55,6 +60,7 @@ def write_results(folder: Path, cell: Cell, outcome: Outcome, variant: str, comm
         commit: the commit of the code.
     """
     record = outcome.record
+    rows = _rows(cell, outcome, variant, commit)
     if outcome.architecture is not None:
         save_policies(
             folder / "policy.pt",
@@ -66,8 +72,28 @@ def write_results(folder: Path, cell: Cell, outcome: Outcome, variant: str, comm
         )
         write_csv(folder / "curve.csv", record.curve)
     # A run that has rows counts as finished, so they are written last.
-    write_csv(folder / "results.csv", _rows(cell, outcome, variant, commit))
+    write_csv(folder / "results.csv", rows)
     (folder / "checkpoint.pt").unlink(missing_ok=True)
+
+
+def write_end(folder: Path, cell: Cell, variant: str, why: str) -> None:
+    """Write that a run ended without rows, and remove its checkpoint: it would end so again.
+
+    Args:
+        folder: the run's folder.
+        cell: the cell that was run.
+        variant: the keys with non-default values.
+        why: the reason, in one line.
+    """
+    name, method, seeds = cell.config.env.name, cell.config.method.name, list(cell.config.seeds)
+    about = Ended(cell.run_id, name, method, variant, seeds, **_ablation(cell), why=why)
+    write_ended(folder, about)
+    (folder / "checkpoint.pt").unlink(missing_ok=True)
+
+
+def _ablation(cell: Cell) -> dict[str, Any]:
+    """Return the values of `ablation` on which the method depends; None for the others."""
+    return dataclasses.asdict(cell.config.ablation) | dict.fromkeys(cell.spec.idle_ablations)
 
 
 def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
@@ -77,7 +103,6 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
     expert = float(cell.demonstrations.returns.mean())
     aer = outcome.best.mean(axis=1)
     performance = (aer - random) / (expert - random) if expert != random else aer * math.nan
-    ablation = dataclasses.asdict(config.ablation) | dict.fromkeys(cell.spec.idle_ablations)
     kind, problems = digits(config), fallbacks()
     if kind == "exact" and problems:
         kind = f"not compiled: {problems[0]}"
@@ -88,7 +113,7 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
             method=config.method.name,
             variant=variant,
             seed=seed,
-            **ablation,
+            **_ablation(cell),
             epochs=int(record.epochs[index]),
             total_timesteps=getattr(config.method, "total_timesteps", None),
             best_epoch=int(record.best_epoch[index]),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Integers
+from ril.environments.environment import Integers
 
 States = NDArray[np.float64]
 Ends = NDArray[np.bool_]

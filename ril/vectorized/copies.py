@@ -7,7 +7,8 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats, Integers
+from ril.environments.checked import check_finite
+from ril.environments.environment import Environment, Floats, Integers
 from ril.vectorized.classic_control import STEPS
 
 _FEWEST_IN_ARRAYS = 5  # fewer copies are faster one after another
@@ -68,26 +69,29 @@ class GymnasiumCopies:
     """
 
     def __init__(self, environment: Environment, count: int) -> None:
+        self._id = environment.config.id
         self._copies = [environment.make() for _ in range(count)]
         self.observations = np.zeros((count, environment.observation_size), dtype=np.float32)
 
     def reset(self, index: int, seed: int) -> None:
         """Begin an episode in one copy."""
         self.observations[index] = self._copies[index].reset(seed=seed)[0]
+        check_finite(self._id, "the observation", self.observations[index])
 
     def step(self, indices: Integers, actions: Integers) -> Outcome:
         """Take actions (C,) in the copies at indices (C,)."""
         rewards, terminated, truncated = [], [], []
-        for index, action in zip(indices.tolist(), actions.tolist(), strict=True):
-            self.observations[index], reward, ended, at_limit, _ = self._copies[index].step(action)
-            rewards.append(reward)
-            terminated.append(ended)
-            truncated.append(at_limit)
-        return (
-            np.array(rewards, dtype=np.float32),
-            np.array(terminated, dtype=bool),
-            np.array(truncated, dtype=bool),
-        )
+        with np.errstate(over="ignore"):  # beyond single precision: infinite
+            for index, action in zip(indices.tolist(), actions.tolist(), strict=True):
+                observation, reward, ended, at_limit, _ = self._copies[index].step(action)
+                self.observations[index] = observation
+                rewards.append(reward)
+                terminated.append(ended)
+                truncated.append(at_limit)
+            earned = np.array(rewards, dtype=np.float32)
+        check_finite(self._id, "the observation", self.observations[indices])
+        check_finite(self._id, "the reward", earned)
+        return earned, np.array(terminated, dtype=bool), np.array(truncated, dtype=bool)
 
 
 class ArrayCopies:

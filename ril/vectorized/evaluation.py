@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats, Integers
+from ril.environments.environment import Environment, Floats, Integers
 from ril.vectorized.networks import Network, greedy
 from ril.vectorized.rollout import Environments
 from ril.vectorized.streams import Streams
 
 _COPIES = 50  # environments per seed that are played side by side
-_RANDOM_COPIES = 25  # of random actions; another number would draw others
+#: Environments per seed for random actions; another number would draw other actions.
+RANDOM_COPIES = 25
 
 
 class Evaluation:
@@ -64,7 +65,7 @@ def random_returns(
 ) -> NDArray[np.float64]:
     """(S, episodes) returns of random actions; `performance` counts from seed 0's (§4)."""
     streams = Streams(seeds, "random policy")
-    copies = min(episodes, _RANDOM_COPIES)
+    copies = min(episodes, RANDOM_COPIES)
     environments = Environments(environment, len(seeds) * copies)
     rounds = []
     for _ in range(math.ceil(episodes / copies)):

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.envs.box2d import lunar_lander as constants
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats, Integers
+from ril.environments.environment import Environment, Floats, Integers
 
 _SCALE = constants.SCALE
 _MAIN = constants.MAIN_ENGINE_Y_LOCATION / _SCALE

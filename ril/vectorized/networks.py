@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.environments import Floats
+from ril.environments.environment import Floats
 from ril.vectorized.layers import Parameters, without_attention
 from ril.vectorized.state import Stateful
 from ril.vectorized.streams import Streams

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ril.environments import Floats
+from ril.environments.environment import Floats
 from ril.vectorized.rollout import Episodes
 from ril.vectorized.state import Stateful
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats, Integers
+from ril.environments.environment import Environment, Floats, Integers
 from ril.vectorized.copies import make_copies
 
 #: From (K, obs) scaled observations and the number of the step to (K,) actions.
@@ -75,37 +75,36 @@ class Environments:
             max_steps: number of steps after which to stop every episode; the environment's own
                 limit if None.
         """
-        count = self._count
-        limit = max_steps or self.environment.max_episode_steps
-        size = self.environment.observation_size
-        states = np.zeros((limit + 1, count, size), dtype=np.float32)
-        actions = np.zeros((limit, count), dtype=np.int64)
-        rewards = np.zeros((limit, count), dtype=np.float32)
-        terminated = np.zeros((limit, count), dtype=bool)
-        lengths = np.zeros(count, dtype=np.int64)
-
+        count, limit = self._count, max_steps or self.environment.max_episode_steps
         for index, seed in enumerate(reset_seeds.tolist()):
             self._copies.reset(index, seed)
-        states[0] = self.environment.scale(self._copies.observations)
+        # Lists, since the limit may be far above the length of any episode.
+        states = [self.environment.scale(self._copies.observations)]
+        actions: list[Integers] = []
+        rewards: list[Floats] = []
+        terminated: list[NDArray[np.bool_]] = []
+        lengths = np.zeros(count, dtype=np.int64)
         running = np.arange(count)
-        step = 0
-        while running.size and step < limit:
-            actions[step] = act(states[step], step)
-            outcome = self._copies.step(running, actions[step, running])
-            rewards[step, running], ended, truncated = outcome
-            terminated[step, running] = ended
-            step += 1
-            lengths[running] = step
-            if ended.any() or truncated.any():
-                running = running[~(ended | truncated)]
-            states[step] = self.environment.scale(self._copies.observations)
+        while running.size and len(actions) < limit:
+            chosen = act(states[-1], len(actions))
+            outcome = self._copies.step(running, chosen[running])
+            earned, ends = np.zeros(count, dtype=np.float32), np.zeros(count, dtype=bool)
+            earned[running], ends[running], truncated = outcome
+            actions.append(chosen)
+            rewards.append(earned)
+            terminated.append(ends)
+            lengths[running] += 1
+            over = outcome[1] | truncated
+            if over.any():
+                running = running[~over]
+            states.append(self.environment.scale(self._copies.observations))
 
-        by_copy = np.ascontiguousarray(states[: step + 1].swapaxes(0, 1))
+        by_copy = np.stack(states, axis=1)
         return Episodes(
             by_copy[:, :-1],
-            np.ascontiguousarray(actions[:step].T),
-            np.ascontiguousarray(rewards[:step].T),
+            np.stack(actions, axis=1),
+            np.stack(rewards, axis=1),
             by_copy[:, 1:],
-            np.ascontiguousarray(terminated[:step].T),
+            np.stack(terminated, axis=1),
             lengths,
         )

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.environments import Environment, Floats, Integers
+from ril.environments.environment import Environment, Floats, Integers
 from ril.vectorized.copies import make_copies
+
+_ROOM = 256  # steps of an episode, at first
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class SteppedEnvironments:
         self._all = np.arange(count)
         self._copies = make_copies(environment, count)
         self._episodes = [0] * count
-        self._actions = np.zeros((environment.max_episode_steps, count), dtype=np.int64)
+        self._actions = np.zeros((_ROOM, count), dtype=np.int64)  # grows with the episodes
         self._steps = np.zeros(count, dtype=np.int64)  # of the current episodes
         for index in range(count):
             self._begin(index)
@@ -78,7 +80,11 @@ class SteppedEnvironments:
         Args:
             actions: (S·K,).
         """
-        self._actions[self._steps, self._all] = actions
+        try:
+            self._actions[self._steps, self._all] = actions
+        except IndexError:  # an episode is longer than all before
+            self._make_room(2 * len(self._actions))
+            self._actions[self._steps, self._all] = actions
         self._steps += 1
         rewards, terminated, truncated = self._copies.step(self._all, actions)
         following = self.environment.scale(self._copies.observations)
@@ -91,6 +97,11 @@ class SteppedEnvironments:
             self.observations = self.environment.scale(self._copies.observations)
         return Step(following, rewards, terminated, truncated & ~terminated)
 
+    def _make_room(self, steps: int) -> None:
+        """Make room for the actions of longer episodes."""
+        missing = max(0, steps - len(self._actions))
+        self._actions = np.pad(self._actions, ((0, missing), (0, 0)))
+
     def state_dict(self) -> dict[str, Any]:
         """Return the number of each copy's episode and the actions in it so far."""
         played = zip(self._actions.T, self._steps, strict=True)
@@ -102,6 +113,7 @@ class SteppedEnvironments:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Resume from a state that `state_dict` returned, by replaying the current episodes."""
         self._episodes = list(state["episodes"])
+        self._make_room(max(map(len, state["actions"])))
         for index, actions in enumerate(state["actions"]):
             self._begin(index)
             self._actions[: len(actions), index] = actions

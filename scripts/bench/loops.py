@@ -18,7 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from bench.clock import in_turns, seconds, table, with_own_kernels
 from ril.cli.display import ConsoleDisplay
 from ril.config.schema import Config
-from ril.environments import load_environment
+from ril.environments.environment import load_environment
 from ril.methods.dqn import DQNConfig
 from ril.run.experiment import run
 from ril.run.prepare import prepare

@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from bench.clock import in_turns, table, with_own_kernels
 from ril.config.schema import Config
-from ril.environments import load_environment
+from ril.environments.environment import load_environment
 from ril.methods.gail import GAIL, GAILConfig
 from ril.methods.ppo import PPO, PPOMethodConfig
 from ril.run.prepare import prepare

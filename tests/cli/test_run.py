@@ -18,7 +18,7 @@ import pytest
 import torch
 from helpers.runs import CARTPOLE, QUICK, Ended
 
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.paths import config_folder
 from ril.io.rows import Row, load_results
 from ril.policy import load_policy

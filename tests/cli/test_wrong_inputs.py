@@ -19,7 +19,7 @@ from ril.cli import report, verify
 from ril.cli import run as cli
 from ril.cli.configuration import from_hydra
 from ril.demonstrations.files import load_demonstrations, shipped_path
-from ril.environments import load_environment
+from ril.environments.environment import load_environment
 from ril.experts import make
 from ril.run.identity import run_folder
 from ril.run.record import Record

@@ -11,7 +11,7 @@ import pytest
 from helpers.runs import follow_rule
 
 from ril.demonstrations.files import load_demonstrations
-from ril.environments import Environment
+from ril.environments.environment import Environment
 
 PAGE = Path(__file__).parents[2] / "docs" / "demonstrations.md"
 IL_DATASETS, MINARI = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.demonstrations.trajectories import Demonstrations
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.experts.collection import Episode, save
 from ril.io.errors import UserError
 

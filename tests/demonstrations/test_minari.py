@@ -17,7 +17,7 @@ from gymnasium.spaces import Box, Discrete
 from helpers.demonstrations import Bomb, assert_pairs, refusal
 
 from ril.demonstrations.files import load_demonstrations
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.experts.collection import Episode
 
 minari = pytest.importorskip("minari")

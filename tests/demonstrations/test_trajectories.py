@@ -9,7 +9,7 @@ import pytest
 
 from ril.demonstrations.files import load_demonstrations, shipped_path
 from ril.demonstrations.trajectories import Demonstrations
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.strange import ID, Strange, registered
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -19,7 +20,8 @@ from ril.cli.expert import main
 from ril.config.schema import EnvironmentConfig
 from ril.demonstrations.files import SHIPPED, demonstrations_path, load_demonstrations, shipped_path
 from ril.demonstrations.trajectories import Demonstrations
-from ril.environments import Environment, reaches_goal
+from ril.environments.environment import Environment
+from ril.environments.goal import reaches_goal
 from ril.experts.collection import Episode, pack, play, put_first
 from ril.experts.make import make_expert
 from ril.experts.training import ExpertConfig
@@ -164,6 +166,27 @@ def test_a_mistake_is_one_line_and_writes_nothing(
     assert message.startswith(f"ril-expert: {said}")
     assert "\n" not in message
     assert files(tmp_path) == {"file"}
+
+
+@pytest.mark.parametrize(
+    ("how", "after", "said"),
+    [
+        ("raises", 0, "step: RuntimeError: the simulator is gone"),
+        ("raises", 900, "step: RuntimeError: the simulator is gone"),
+        ("a vector reward", 0, "step returned the reward an array of shape (2,)"),
+        ("one only", 0, "the port is in use"),
+    ],
+)
+def test_an_environments_fault_is_one_line_and_closes_it(
+    ril_expert: Command, tmp_path: Path, how: str, after: int, said: str
+) -> None:
+    changes = f"+env.kwargs.how='{how}'", f"+env.kwargs.after={after}", "target_return=-9"
+    with registered():
+        with pytest.raises(SystemExit) as exit_:
+            ril_expert("env=gym", f"env.id={ID}", *changes, *QUICK[1:], "total_timesteps=2000")
+        assert set(Strange.made) == set(Strange.closed)
+    assert str(exit_.value).startswith(f"ril-expert: env.id={ID}: {said}")
+    assert files(tmp_path) == set()
 
 
 # --- episodes ----------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import pytest
 
 from ril.demonstrations.files import load_demonstrations
 from ril.demonstrations.trajectories import Demonstrations
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 
 

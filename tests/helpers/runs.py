@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ril.cli.configuration import store_schemas
 from ril.config.schema import Config
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.experts.collection import Episode
 from ril.io.paths import config_folder
 from ril.methods.base import Progress

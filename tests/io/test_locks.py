@@ -17,7 +17,7 @@ import pytest
 from helpers.runs import Silence
 
 from ril.demonstrations.files import load_demonstrations
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 from ril.io.locks import BusyError, claimed
 from ril.run.experiment import run

@@ -13,7 +13,7 @@ from helpers.states import assert_equal_states, copied
 from torch.nn import functional
 
 from ril.config.schema import Config
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 from ril.learners.online_q_learning import OnlineQLearning
 from ril.learners.q_learning import QLearning

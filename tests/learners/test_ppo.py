@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from ril.config.schema import AblationConfig, Config
 from ril.demonstrations.trajectories import StateTransitions
-from ril.environments import Environment, load_environment
+from ril.environments.environment import Environment, load_environment
 from ril.io.errors import UserError
 from ril.learners.normalization import Standardization
 from ril.learners.ppo import PPOConfig, PPOLearner

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.methods.base import Progress
 from ril.methods.dqn import DQN
 from ril.vectorized.architectures import MLP, Dueling

@@ -19,7 +19,7 @@ from helpers.states import assert_equal_states, copied
 from torch import Tensor
 
 from ril.demonstrations.files import load_demonstrations, shipped_path
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.experts.collection import Episode, save
 from ril.methods.base import Method, Progress
 from ril.methods.registry import names, spec

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from scipy.special import softmax
 from scipy.stats import entropy
 
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 from ril.policy import load_policy, save_policies
 from ril.report.figures.mountaincar import (

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.report.samples import THRESHOLDS, samples_to_best, samples_to_threshold
 
 EVALUATIONS = st.lists(

@@ -18,7 +18,7 @@ from helpers.runs import Silence
 
 from ril.config.schema import Config
 from ril.demonstrations.files import load_demonstrations, shipped_path
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.io.errors import UserError
 from ril.io.rows import Row
 from ril.methods.base import Progress

@@ -13,7 +13,7 @@ import torch._inductor
 from torch._dynamo.exc import TorchDynamoException
 
 from ril.vectorized import compiling
-from ril.vectorized.compiling import compile_graph, fallbacks, with_fallback
+from ril.vectorized.compiling import compile_graph, with_fallback
 
 
 def broken(*_: Any, **__: Any) -> Any:
@@ -74,7 +74,8 @@ def test_a_graph_that_a_killed_process_left_unfinished_compiles(
     monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
     compile_graph(lambda x: x * 3 + 1)(torch.ones(20))
     [library] = tmp_path.rglob("*.main.so")
-    library.write_bytes(b"")
+    library.unlink()  # this process has mapped its content
+    library.touch()
     os.utime(library, (time.time() - 60,) * 2)
     program = (
         "import torch; from ril.vectorized.compiling import compile_graph; "

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ril.environments import Environment
+from ril.environments.environment import Environment
 from ril.vectorized.copies import ArrayCopies, GymnasiumCopies, make_copies
 from ril.vectorized.lunar_lander import LanderCopies
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.nn.functional import one_hot
 
-from ril.environments import Environment, Floats
+from ril.environments.environment import Environment, Floats
 from ril.vectorized.evaluation import Evaluation, random_returns
 from ril.vectorized.streams import Streams
 

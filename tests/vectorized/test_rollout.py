@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ril.config.schema import EnvironmentConfig
-from ril.environments import Environment, load_environment
+from ril.environments.environment import Environment, load_environment
 from ril.vectorized.rollout import Environments, Episodes
 
 NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ril.config.schema import EnvironmentConfig
-from ril.environments import Environment, load_environment
+from ril.environments.environment import Environment, load_environment
 from ril.vectorized.copies import EnvironmentCopies, make_copies
 from ril.vectorized.stepping import Step, SteppedEnvironments
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from ril.config.schema import EnvironmentConfig, GoalConfig
+from ril.config.schema import EnvironmentConfig
+from ril.environments.checked import CheckedEnvironment, failure
 from ril.io.errors import UserError, one_line
 
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int64]
+#: A bound from here on is none: the space between two of them cannot be computed.
+_UNBOUNDED = 1e30
 
 
 @dataclass(frozen=True)
@@ -36,10 +41,20 @@ class Environment:
     low: Floats
     high: Floats
     max_episode_steps: int
+    _open_copies: set[CheckedEnvironment] = field(default_factory=set, repr=False, compare=False)
 
-    def make(self) -> gym.Env:
-        """Make one copy of the environment, without Gymnasium's passive checker."""
-        return gym.make(self.config.id, disable_env_checker=True, **self.config.kwargs)
+    def make(self) -> CheckedEnvironment:
+        """Make one copy of the environment.
+
+        Raises:
+            UserError: the environment raised an exception.
+        """
+        return CheckedEnvironment(_make(self.config), self.config.id, self._open_copies)
+
+    def close(self) -> None:
+        """Close all copies that are still open."""
+        for copy in list(self._open_copies):
+            copy.close()
 
     def scale(self, observations: NDArray[np.floating]) -> Floats:
         """Scale raw observations (..., observation_size) to about [−1, 1] (D5)."""
@@ -54,6 +69,23 @@ class Environment:
         return (self.high + self.low) / 2, (self.high - self.low) / 2
 
 
+def _make(config: EnvironmentConfig) -> gym.Env[Any, Any]:
+    """Make an environment, without Gymnasium's passive checker and its warnings.
+
+    Raises:
+        UserError: that failed.
+    """
+    try:
+        with warnings.catch_warnings():  # Gymnasium repeats its errors as warnings
+            warnings.simplefilter("ignore")
+            return gym.make(config.id, disable_env_checker=True, **config.kwargs)
+    except Exception as error:  # an environment's constructor may raise any type
+        message = one_line(error) or type(error).__name__
+        if isinstance(error, ModuleNotFoundError):  # scripts do not search the current folder
+            message += "; PYTHONPATH=. finds modules in the current folder"
+        raise UserError(f"env.id={config.id}: {message}") from error
+
+
 def load_environment(config: EnvironmentConfig) -> Environment:
     """Find an environment and check that ril supports it.
 
@@ -65,18 +97,15 @@ def load_environment(config: EnvironmentConfig) -> Environment:
             and a Discrete that starts at 0, it has no step limit, or a bound of its observations
             is infinite and none is given.
     """
+    probe = _make(config)
     try:
-        with warnings.catch_warnings():  # Gymnasium repeats its errors as warnings
-            warnings.simplefilter("ignore")
-            probe = gym.make(config.id, disable_env_checker=True, **config.kwargs)
-    except Exception as error:  # an environment's constructor may raise any type
-        message = one_line(error) or type(error).__name__
-        if isinstance(error, ModuleNotFoundError):  # scripts do not search the current folder
-            message += "; PYTHONPATH=. finds modules in the current folder"
-        raise UserError(f"env.id={config.id}: {message}") from None
-    observations, actions = probe.observation_space, probe.action_space
-    spec = probe.spec
-    probe.close()
+        observations, actions = probe.observation_space, probe.action_space
+        spec = probe.spec
+    except Exception as error:
+        raise failure(config.id, "its spaces", error) from error
+    finally:
+        with contextlib.suppress(Exception):
+            probe.close()
     if not isinstance(observations, gym.spaces.Box) or len(observations.shape) != 1:
         raise UserError(
             f"env.id={config.id}: observations are {observations}, must be a one-dimensional Box"
@@ -100,41 +129,16 @@ def load_environment(config: EnvironmentConfig) -> Environment:
         bound = np.asarray(of_space if given is None else given, dtype=np.float32)
         if bound.shape != (size,):
             raise UserError(f"env.{name}: has {bound.size} entries, {config.id} needs {size}")
-        if not np.isfinite(bound).all():
+        if not (np.abs(bound) < _UNBOUNDED).all():
             raise UserError(
                 f"env.{name}: the observations of {config.id} are unbounded; give {size} finite "
                 "numbers, or env.scale_observations=false"
             )
         bounds.append(bound)
     low, high = bounds
+    if config.observation_low is None and config.observation_high is None:
+        constant = low == high  # scaled to 0
+        low, high = low - constant, high + constant
     if (low >= high).any():
         raise UserError("env.observation_low: every entry must be below that of observation_high")
     return Environment(config, size, int(actions.n), low, high, spec.max_episode_steps)
-
-
-def reaches_goal(
-    goal: GoalConfig,
-    *,
-    returns: NDArray[np.floating],
-    final_rewards: NDArray[np.floating],
-    terminated: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
-    """Return which episodes reach the environment's goal (§3.2).
-
-    Args:
-        goal: conditions, all of which an episode must meet.
-        returns: (...) undiscounted returns of episodes.
-        final_rewards: (...) rewards of their last steps.
-        terminated: (...) whether the environment ended them, not the step limit.
-
-    Returns:
-        (...) whether each episode meets every condition that is set.
-    """
-    reached = np.ones(np.shape(returns), dtype=bool)
-    if goal.minimum_return is not None:
-        reached &= returns >= goal.minimum_return
-    if goal.minimum_final_reward is not None:
-        reached &= final_rewards >= goal.minimum_final_reward
-    if goal.terminated is not None:
-        reached &= terminated == goal.terminated
-    return reached

@@ -10,7 +10,8 @@ import pytest
 from gymnasium.envs.classic_control import MountainCarEnv
 
 from ril.config.schema import EnvironmentConfig, GoalConfig
-from ril.environments import Environment, load_environment, reaches_goal
+from ril.environments.environment import Environment, load_environment
+from ril.environments.goal import reaches_goal
 from ril.io.errors import UserError
 
 NAMES = ("cartpole", "acrobot", "mountaincar", "lunarlander")

@@ -1,0 +1,1 @@
+"""One environment: what it is, what is checked of it, and its goal."""
