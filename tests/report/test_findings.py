@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.made_rows import ALONE, cell_of, evidence, found
+from helpers.made_rows import ALONE, USUAL, cell_of, evidence, found
 
+from ril.io.ended import Ended
 from ril.report.findings import find, verdict
 
 ENVIRONMENTS = ("cartpole", "acrobot", "mountaincar", "lunarlander")
@@ -118,6 +121,20 @@ def test_an_average_waits_for_every_environment() -> None:
     finding = found("table2", "performance", given, method="RIL", env="average")
     assert (finding.mean, finding.verdict) == (None, "not run")
     assert finding.command == "ril-run env=lunarlander method=ril"
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [({}, ("ended: a loss is NaN",)), ({"k": 3.0}, ()), ({"variant": "method.epochs=2"}, ())],
+)
+def test_a_run_that_ended_without_rows_is_named_in_its_cell(
+    changes: dict[str, object], says: tuple[str, ...]
+) -> None:
+    about = {name: USUAL[name] for name in ("run_id", "env", "method", "variant", "k", "n")}
+    about |= {"trajectories": 1, "expert_return": None, "seeds": [0, 1], **changes}
+    ended = Ended(**about, why="ended: a loss is NaN")  # type: ignore[arg-type]
+    finding = found("table2", "aer", replace(evidence(), ended=(ended,)), **RIL)
+    assert (finding.verdict, finding.excluded) == ("not run", says)
 
 
 def test_excluded_runs_of_a_cell_are_named() -> None:
