@@ -52,7 +52,8 @@ def discriminator_losses(expert_logits: Tensor, generated_logits: Tensor) -> Ten
     Returns:
         (S, B).
     """
-    return functional.softplus(-expert_logits) + functional.softplus(generated_logits)
+    # logsigmoid, unlike softplus, rounds a seed's values alike whatever the number of seeds.
+    return -functional.logsigmoid(expert_logits) - functional.logsigmoid(-generated_logits)
 
 
 def imitation_reward(logits: Tensor, kind: str) -> Tensor:
@@ -68,9 +69,9 @@ def imitation_reward(logits: Tensor, kind: str) -> Tensor:
         (…).
     """
     if kind == "positive":
-        return functional.softplus(logits)
+        return -functional.logsigmoid(-logits)
     if kind == "negative":
-        return -functional.softplus(-logits)
+        return functional.logsigmoid(logits)
     return logits
 
 

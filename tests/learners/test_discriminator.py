@@ -136,10 +136,12 @@ def test_rewards_are_those_of_the_present_network(kind: str, compiled: bool) -> 
         torch.testing.assert_close(found[seed], expected.detach(), rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_a_seed_does_not_depend_on_its_neighbors(compiled: bool) -> None:
-    together = learner(compiled=compiled, batch_size=16)
-    alone = learner(compiled=compiled, batch_size=16, seeds=SEEDS[1:2])
+@pytest.mark.parametrize(
+    ("compiled", "batch_size"), [(True, 16), *((False, size) for size in (5, 8, 16, 33))]
+)
+def test_a_seed_does_not_depend_on_its_neighbors(compiled: bool, batch_size: int) -> None:
+    together = learner(compiled=compiled, batch_size=batch_size)
+    alone = learner(compiled=compiled, batch_size=batch_size, seeds=SEEDS[1:2])
     alone.network.flat.copy_(together.network.flat[1:2])
     expert, generated = clouds()
     for discriminator, of_its_seeds in ((together, generated), (alone, generated[1:2])):
