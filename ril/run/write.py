@@ -8,17 +8,18 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
-from ril.io.errors import UserError
+from ril.io.errors import UserError, printable
 from ril.io.files import write_atomically
 from ril.io.rows import Row, write_csv
 from ril.policy import save_policies
 from ril.run.earlier import DAMAGED
 from ril.run.prepare import Cell
 from ril.run.provenance import digits, provenance
-from ril.vectorized.compiling import fallbacks
 from ril.run.training import Outcome
+from ril.vectorized.compiling import fallbacks
 from ril.vectorized.evaluation import random_returns
 
 #: What a resumed run adds to its provenance.
@@ -76,7 +77,9 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
     random = float(random_returns(cell.environment, [0], config.evaluation.episodes).mean())
     expert = float(cell.demonstrations.returns.mean())
     aer = outcome.best.mean(axis=1)
-    performance = (aer - random) / (expert - random) if expert != random else aer * math.nan
+    with np.errstate(all="ignore"):
+        performance = (aer - random) / np.float64(expert - random)
+    performance[~np.isfinite(performance)] = math.nan  # the expert is as good as random
     ablation = dataclasses.asdict(config.ablation) | dict.fromkeys(cell.spec.idle_ablations)
     kind, problems = digits(config), fallbacks()
     if kind == "exact" and problems:
@@ -86,7 +89,7 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
             run_id=cell.run_id,
             env=config.env.name,
             method=config.method.name,
-            variant=variant,
+            variant=printable(variant),
             seed=seed,
             **ablation,
             epochs=int(record.epochs[index]),
@@ -104,7 +107,7 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
             expert_return_measured=expert,
             wall_seconds=round(outcome.seconds, 2),
             commit=commit,
-            digits=kind,
+            digits=printable(kind),
         )
         for index, seed in enumerate(config.seeds)
     ]
