@@ -12,7 +12,7 @@ from hydra.core.utils import JobStatus
 from hydra.plugins.launcher import Launcher
 from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from ril import kernels
 from ril.io.errors import UserError
@@ -69,6 +69,12 @@ class CellSweeper(Sweeper):
         if not self.config.exact:
             kernels.release()  # for the workers, whose cells share one level
         # Imported here, since Hydra loads its plugins at every start of a command.
+        from ril.cli.output import unfailing
+
+        with unfailing("ril-run"):
+            self._sweep(arguments)
+
+    def _sweep(self, arguments: list[str]) -> None:
         from ril.cli.sweep import expand, plan
         from ril.cli.sweep_progress import SweepProgress
 
@@ -81,12 +87,19 @@ class CellSweeper(Sweeper):
             return loader.load_sweep_config(config, job)
 
         cells = plan(jobs, compose, config)
-        try:
-            Path(config.output_dir).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            at = f"output_dir={config.output_dir}"
-            raise UserError(f"{at}: cannot be written ({error.strerror})") from None
-        progress = SweepProgress(cells, config.hydra.launcher, Path(config.output_dir))
+        configs = (each.config for each in cells)
+        places = list(dict.fromkeys(each.output_dir for each in configs if each is not None))
+        for place in places:
+            try:
+                Path(place).mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                at = f"output_dir={place}"
+                raise UserError(f"{at}: cannot be written ({error.strerror})") from None
+        # Launchers make this folder, whose default may need a cell's own `${hydra:…}`.
+        if places and OmegaConf.is_interpolation(config.hydra.sweep, "dir"):
+            OmegaConf.set_readonly(config.hydra, False)
+            config.hydra.sweep.dir = places[0]
+        progress = SweepProgress(cells, config.hydra.launcher, *map(Path, places))
         with progress.watched():
             pending = progress.pending
             size = self.max_batch_size or len(pending) or 1

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import NoReturn
+
+from ril.io.errors import UserError
+from ril.io.paths import expanded
 
 
 class Parser(argparse.ArgumentParser):
@@ -28,6 +32,14 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Exit with the message."""
         sys.exit(f"{self.prog}: {message}")
+
+
+def folder_of(text: str) -> Path:
+    """Convert an argument to a path, with the home folder for `~`."""
+    try:
+        return Path(expanded(text))
+    except UserError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 class _Version(argparse.Action):

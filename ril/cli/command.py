@@ -21,6 +21,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from ril import __version__
 from ril.cli.configuration import unknown_key, wrong_type
+from ril.cli.output import written
 from ril.io.errors import UserError, one_line
 from ril.io.paths import config_folder
 
@@ -42,9 +43,15 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
     Raises:
         SystemExit: the user made a mistake, or stopped the command.
     """
-    if "--version" in sys.argv[1:]:
-        print(f"{Path(sys.argv[0]).stem} {__version__}")
-        return
+    with written(Path(sys.argv[0]).stem):
+        if "--version" in sys.argv[1:]:
+            print(f"{Path(sys.argv[0]).stem} {__version__}")
+        else:
+            _run(config_name, job, stopped)
+
+
+def _run(config_name: str, job: Callable[[DictConfig], None], stopped: str) -> None:
+    """Compose and call; see `run_command`."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # so that Hydra raises its errors
     if "--hydra-help" not in sys.argv:
         # Skip Hydra's list of all groups, which takes 0.2 s and which ril's help does not show.
@@ -63,10 +70,8 @@ def run_command(config_name: str, job: Callable[[DictConfig], None], *, stopped:
         folder = str(config_folder())
         task = after_composing if not arguments.multirun else job  # workers unpickle the job
         hydra.main(version_base="1.3", config_path=folder, config_name=config_name)(task)()
-        sys.stdout.flush()
-    except BrokenPipeError:  # the reader of the output, such as `head`, has ended
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+    except BrokenPipeError:
+        raise  # `written` ends the command
     except MISTAKES as error:
         refuse(error)
     except ValueError as error:
@@ -111,11 +116,6 @@ def refuse(error: Exception) -> NoReturn:
     sys.exit(f"{Path(sys.argv[0]).stem}: {in_one_line(error)}")
 
 
-def own_folders(sources: Iterable[Any]) -> list[str]:
-    """Return the user's own folders (--config-dir) among Hydra's sources of configuration."""
-    return [source.path for source in sources if source.provider == "command-line"]
-
-
 def cell_command(overrides: Sequence[str], sources: Iterable[Any]) -> list[str]:
     """Return the command line, as a list, that runs one cell of a sweep alone.
 
@@ -123,7 +123,8 @@ def cell_command(overrides: Sequence[str], sources: Iterable[Any]) -> list[str]:
         overrides: the cell's `key=value`.
         sources: Hydra's sources of configuration.
     """
-    flags = [f"--config-dir={folder}" for folder in own_folders(sources)]
+    given = (each.path for each in sources if each.provider == "command-line")
+    flags = [f"--config-dir={folder}" for folder in given]
     return ["ril-run", *flags, *overrides]
 
 
@@ -142,7 +143,11 @@ def in_one_line(error: Exception) -> str:
         meant = f"is it {near[0]}? Or " if near else ""
         return f"{group}={choice}: unknown; {meant}choose one of {allowed}{more}"
     if isinstance(error, OverrideParseException):
-        return f"{error.override}: cannot be read as key=value"
+        key, _, value = str(error.override).partition("=")
+        quoted = ""
+        if value and value[0] not in "[{(\"'":
+            quoted = f"; put quotes around the value: '{key}=\"{value}\"'"
+        return f"{error.override}: cannot be read as key=value{quoted}"
     fault = error.__cause__ or error
     if isinstance(fault, ConfigKeyError | ConfigAttributeError) and fault.full_key:
         if fault.object_type is None or fault.object_type is dict:
@@ -155,18 +160,3 @@ def in_one_line(error: Exception) -> str:
     if isinstance(fault, ValueError) and groups:
         return f"{' '.join(groups)}: must be one of the group's choices"
     return one_line(fault)
-
-
-def default_config(env: str, method: str, folders: Sequence[str] = ()) -> DictConfig:
-    """Compose the default configuration of a method on an environment.
-
-    Args:
-        env: the value of `env=` on the command line.
-        method: the value of `method=`.
-        folders: the user's own configuration folders (--config-dir).
-    """
-    overrides = [f"env={env}", f"method={method}"]
-    if folders:
-        overrides.append(f"hydra.searchpath=[{','.join(f'file://{each}' for each in folders)}]")
-    composed: DictConfig = hydra.compose("config", overrides)
-    return composed

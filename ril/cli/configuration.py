@@ -15,8 +15,8 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from ril.config.fields import check
 from ril.config.schema import AblationConfig, Config, EnvironmentConfig, EvaluationConfig
-from ril.io.errors import UserError, one_line
-from ril.io.paths import config_folder
+from ril.io.errors import UserError, one_line, printable
+from ril.io.paths import config_folder, expanded
 
 T = TypeVar("T")
 #: How messages name the types of fields, by how Python writes the types.
@@ -33,6 +33,8 @@ _NESTED = (
     *(f"evaluation.{field.name}" for field in fields(EvaluationConfig)),
     *("method.epochs", "method.total_timesteps"),
 )
+
+_MOST_SEEDS = 100_000  # of one run; memory grows with their number
 
 
 @dataclass
@@ -87,8 +89,13 @@ def choices(group: str) -> str:
     return "\n".join(lines)
 
 
+def home(path: str) -> str:
+    """Resolve `${home:${output_dir}}` to the path with the home folder for a leading `~`."""
+    return expanded(path)
+
+
 # Registered on import, so that the worker processes of a sweep have them too.
-for resolver in (by_env, by_fidelity, choices):
+for resolver in (by_env, by_fidelity, choices, home):
     OmegaConf.register_new_resolver(resolver.__name__, resolver, replace=True)
 
 
@@ -105,7 +112,11 @@ def from_hydra(composed: DictConfig) -> Config:
     values = cast(dict[str, Any], OmegaConf.to_container(composed, resolve=True))
     own = {field.name for field in fields(Config)}
     extra = {field.name for field in fields(ComposedConfig)} - own
-    return _checked({key: each for key, each in values.items() if key not in extra})
+    config = _checked({key: each for key, each in values.items() if key not in extra})
+    for key in ("output_dir", "demonstrations"):
+        if (path := getattr(config, key)) is not None:
+            setattr(config, key, with_home(key, path))
+    return config
 
 
 def from_file(path: Path) -> Config:
@@ -123,6 +134,18 @@ def from_file(path: Path) -> Config:
         raise UserError(f"{path}: is not a configuration of this version ({error})") from None
 
 
+def with_home(key: str, path: str) -> str:
+    """Return the path that is a key's value with the home folder for a leading `~`.
+
+    Raises:
+        UserError: there is no such folder.
+    """
+    try:
+        return expanded(path)
+    except UserError as error:
+        raise UserError(f"{key}={error}") from None
+
+
 def _checked(values: Mapping[str, Any]) -> Config:
     """Turn values by key into checked dataclasses.
 
@@ -135,12 +158,24 @@ def _checked(values: Mapping[str, Any]) -> Config:
     name = method.get("name")
     config = _typed(Config, {**values, "method": {"name": name}})
     config.method = _typed(spec(name).config, method, "method")
-    if ".." in Path(config.env.name).parts or Path(config.env.name).is_absolute():
-        raise UserError(f"env.name={config.env.name}: must name a folder below output_dir")
+    _check_name(config.env.name)
     config.seeds = _seeds(config.seeds)
     check(config)
     config.evaluation.interval(epochs=1)
     return config
+
+
+def _check_name(name: str) -> None:
+    """Refuse a name of an environment that no folder and no row can have as it is.
+
+    Raises:
+        UserError: it is not allowed.
+    """
+    path = Path(name)
+    if not name.isprintable():
+        raise UserError(f"env.name={printable(name)}: must have no characters that are invisible")
+    if path.is_absolute() or ".." in path.parts or not path.parts or name != str(path):
+        raise UserError(f"env.name={name}: must name a folder below output_dir")
 
 
 def _typed(kind: type[T], values: Mapping[str, Any], parent: str = "") -> T:
@@ -212,6 +247,8 @@ def _seeds(given: Any) -> list[int]:
     Raises:
         UserError: it is neither a count nor a list of different seeds.
     """
+    if type(given) is int and given > _MOST_SEEDS:
+        raise UserError(f"seeds={given}: must be at most {_MOST_SEEDS} seeds")
     seeds = list(range(given)) if type(given) is int else given
     if (
         not isinstance(seeds, list)

@@ -140,6 +140,11 @@ class ConsoleDisplay:
         self.noted(str(rows.parent))
 
 
+def is_live(console: Console) -> bool:
+    """Return whether a console can redraw a panel."""
+    return console.is_terminal and not console.is_dumb_terminal
+
+
 def _seeds_table(frame: pd.DataFrame) -> Table:
     """Return a table of the rows of one run."""
     first = frame.iloc[0]

@@ -13,7 +13,11 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from ril.cli import as_command
 from ril.cli.command import MISTAKES, refuse, run_command
+from ril.cli.configuration import with_home
+from ril.cli.display import is_live
+from ril.cli.output import unfailing
 from ril.experts.make import make_expert
 from ril.experts.training import ExpertConfig, OnStep
 from ril.io.errors import UserError
@@ -30,7 +34,8 @@ def _progress(config: ExpertConfig, console: Console) -> Iterator[OnStep]:
         TimeElapsedColumn(),
     )
     started = time.monotonic()
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+    live = is_live(console)
+    with Progress(*columns, console=console, disable=not live) as bar:
         task = bar.add_task(config.env.name, total=config.total_timesteps, mean="…")
 
         def on_step(steps: int, mean: float | None) -> None:
@@ -38,7 +43,7 @@ def _progress(config: ExpertConfig, console: Console) -> Iterator[OnStep]:
             if mean is None:
                 return
             bar.update(task, mean=f"{mean:.2f}")
-            if not console.is_terminal:
+            if not live:
                 elapsed = time.monotonic() - started
                 console.print(f"{steps:>9,} steps  mean return {mean:.2f}  {elapsed:.0f} s")
 
@@ -53,7 +58,8 @@ def _run(composed: DictConfig) -> None:
         config = cast(ExpertConfig, OmegaConf.to_object(composed))
         console = Console(highlight=False)
         command = " ".join(["ril-expert", *HydraConfig.get().overrides.task])
-        with _progress(config, console) as on_step:
+        config.output = with_home("output", config.output)
+        with unfailing("ril-expert"), _progress(config, console) as on_step:
             record = make_expert(config, command, on_step)
     except MISTAKES as error:
         refuse(error)  # here, since Hydra would add a line of its own
@@ -72,3 +78,9 @@ def main() -> None:
     """Run the console command; a mistake of the user is one line on stderr and exit status 1."""
     ConfigStore.instance().store(name="expert_schema", node=ExpertConfig)
     run_command("expert", _run, stopped="ril-expert: stopped, nothing was written")
+
+
+if __name__ == "__main__":
+    from ril.cli.expert import main as command
+
+    as_command("ril-expert", command)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import os
 import sys
 from pathlib import Path
 
-from ril.cli.arguments import Parser
+from ril.cli import as_command
+from ril.cli.arguments import Parser, folder_of
+from ril.cli.output import written
 
 TABLES = tuple(f"table{number}" for number in range(1, 10))
 FIGURES = ("figure2", "figure3", "figure4", "figure5", "curves", "sensitivity")
@@ -30,6 +31,11 @@ examples:
 
 def main() -> None:
     """Run the command; a user's mistake is one line on stderr and exit status 1."""
+    with written("ril-report"):
+        _report()
+
+
+def _report() -> None:
     arguments = _parser().parse_args()
     targets = arguments.targets or ([] if arguments.audit else ["all"])
     unknown = [target for target in targets if target not in TARGETS]
@@ -43,8 +49,6 @@ def main() -> None:
         sys.exit(f"ril-report: --outputs {', '.join(missing)}: no such folder{ordered}")
 
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # more threads slow down networks this small
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a locale without ± must not end the report
     from ril.io.errors import UserError
     from ril.report.write import Wanted, write
 
@@ -63,10 +67,8 @@ def main() -> None:
     )
     try:
         write(wanted)
-        sys.stdout.flush()
-    except BrokenPipeError:  # the reader, such as `head`, has stopped
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+    except BrokenPipeError:
+        raise  # `written` ends the command
     except (UserError, OSError) as error:
         sys.exit(f"ril-report: {error}")
     except KeyboardInterrupt:
@@ -96,11 +98,15 @@ def _parser() -> Parser:
         help="score the best or the last policy of each run (default: best)",
     )
     parser.add_argument(
-        "--outputs", nargs="+", type=Path, metavar="DIR", help="folders of runs (default: outputs)"
+        "--outputs",
+        nargs="+",
+        type=folder_of,
+        metavar="DIR",
+        help="folders of runs (default: outputs)",
     )
     parser.add_argument(
         "--to",
-        type=Path,
+        type=folder_of,
         default=Path("report"),
         metavar="DIR",
         help="folder for figures and pages (default: report)",
@@ -112,4 +118,6 @@ def _parser() -> Parser:
 
 
 if __name__ == "__main__":
-    main()
+    from ril.cli.report import main as command
+
+    as_command("ril-report", command)

@@ -4,27 +4,18 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
-import hydra
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from ril import kernels
-from ril.cli.command import (
-    MISTAKES,
-    SWEEP_GROUPS,
-    cell_command,
-    default_config,
-    own_folders,
-    refuse,
-    run_command,
-)
+from ril.cli import as_command
+from ril.cli.command import MISTAKES, SWEEP_GROUPS, cell_command, refuse, run_command
 from ril.cli.configuration import from_hydra, store_schemas
+from ril.cli.output import unfailing
+from ril.config.schema import Config
 from ril.io.errors import UserError
-from ril.io.paths import config_folder
 
 
 def main() -> None:
@@ -44,40 +35,57 @@ def _job(composed: DictConfig) -> None:
 
 
 def _run(composed: DictConfig) -> None:
-    from rich.console import Console
-
-    alone = HydraConfig.get().mode != RunMode.MULTIRUN
+    settings = HydraConfig.get()
+    alone = settings.mode != RunMode.MULTIRUN
     if alone:
         _refuse_sweep()
     else:
         # The rows name the command that runs this cell, not the sweep's or the worker's.
-        hydra_config = HydraConfig.get()
-        sys.argv = cell_command(hydra_config.overrides.task, hydra_config.runtime.config_sources)
+        sys.argv = cell_command(settings.overrides.task, settings.runtime.config_sources)
     if alone and not composed.exact:
         kernels.release()  # before anything imports NumPy or torch
     config = from_hydra(composed)
+    with unfailing("ril-run"):
+        _train(_from_origin(config, Path(settings.runtime.cwd)), alone=alone)
 
-    from ril.cli.display import ConsoleDisplay
+
+def _from_origin(config: Config, origin: Path) -> Config:
+    """Take paths from the folder in which the command was given, even if Hydra has left it."""
+    if Path.cwd() != origin:  # hydra.job.chdir=true
+        config.output_dir = str(origin / config.output_dir)
+        if config.demonstrations is not None:
+            config.demonstrations = str(origin / config.demonstrations)
+    return config
+
+
+def _train(config: Config, *, alone: bool) -> None:
+    from rich.console import Console
+
+    from ril.cli.display import ConsoleDisplay, is_live
+    from ril.cli.variant import own_folders, refuse_shadowed, variant
     from ril.io.signals import Stopped
     from ril.report.beside import paper_cell
     from ril.run.experiment import run
     from ril.run.loggers import LoggedDisplay, make_logger
 
+    runtime = HydraConfig.get().runtime
+    refuse_shadowed(runtime.config_sources)
+    apart = variant(config, runtime.choices["env"], own_folders(runtime.config_sources))
     console = Console(highlight=False)
     shown = ConsoleDisplay(
-        console, live=alone and console.is_terminal, alone=alone, paper_number=paper_cell
+        console, live=alone and is_live(console), alone=alone, paper_number=paper_cell
     )
-    logger = make_logger(config.logging, HydraConfig.get().runtime.choices["logging"])
+    logger = make_logger(config.logging, runtime.choices["logging"])
+    logged = LoggedDisplay(shown, logger) if logger is not None else None
     try:
-        display = LoggedDisplay(shown, logger) if logger is not None else shown
-        run(config, display, _variant(composed))
+        run(config, logged or shown, apart)
     except Stopped as stopped:
         print(f"ril-run: {stopped}", file=sys.stderr)
         sys.exit(stopped.exit_status)
     finally:
         shown.stop()
-        if logger is not None:
-            logger.finish()
+        if logged is not None:
+            logged.end()
 
 
 def _refuse_sweep() -> None:
@@ -96,43 +104,7 @@ def _refuse_sweep() -> None:
         raise UserError(f"{chosen}: is a sweep, which needs -m: ril-run -m {' '.join(given)}")
 
 
-def _variant(composed: DictConfig) -> str:
-    """Return the keys whose values differ from the method's defaults on its environment.
+if __name__ == "__main__":
+    from ril.cli.run import main as command
 
-    Returns:
-        `key=value` of each, separated by spaces; "" if there are none.
-    """
-    runtime = HydraConfig.get().runtime
-    env, method = runtime.choices["env"], composed.method.name
-    if GlobalHydra.instance().is_initialized():
-        usual = default_config(env, method)
-    else:  # in the worker process of a sweep
-        with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
-            usual = default_config(env, method, own_folders(runtime.config_sources))
-    before, given = _values(usual), _values(composed)
-    if given["demonstrations"] is not None:
-        given["demonstrations"] = Path(given["demonstrations"]).name
-    # A folder's name, a key that changes no number, and budgets.
-    ignored = {"env.name", "env.vectorized", "method.epochs", "method.total_timesteps"}
-    # Keys without a default, such as env.id of env=gym.
-    ignored |= {key for key, value in before.items() if value == "???"}
-    changed = [key for key in given if key not in ignored and given[key] != before.get(key)]
-    return " ".join(f"{key}={given[key]}" for key in changed)
-
-
-def _values(composed: DictConfig) -> dict[str, Any]:
-    """Return the values on which a row's numbers depend, by full key; a list is one value."""
-    values: dict[str, Any] = {}
-
-    def collect(node: Any, key: str) -> None:
-        if isinstance(node, dict):
-            for name, child in node.items():
-                collect(child, f"{key}.{name}")
-        else:
-            values[key] = node
-
-    everything = OmegaConf.to_container(composed, resolve=True)
-    assert isinstance(everything, dict)
-    for name in ("env", "method", "evaluation", "demonstrations"):
-        collect(everything[name], name)
-    return values
+    as_command("ril-run", command)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import itertools
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, cast
 
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
-from omegaconf import DictConfig, open_dict
+from hydra.core.override_parser.types import Override, Quote, QuotedString
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from ril.cli.command import MISTAKES, SWEEP_GROUPS, cell_command, in_one_line
 from ril.cli.configuration import from_hydra
+from ril.cli.variant import refuse_shadowed
 from ril.config.schema import Config
 from ril.demonstrations.files import demonstrations_path, load_demonstrations
 from ril.environments.environment import load_environment
@@ -105,6 +109,47 @@ def _values(override: Override) -> dict[str, object]:
     return {override.get_value_element_as_str(): override.value()}
 
 
+@contextmanager
+def _as_hydra(composed: DictConfig, number: int) -> Iterator[None]:
+    """Let `${hydra:…}` in a configuration be resolved in the block, as in the cell of a number."""
+    before = HydraConfig.instance().cfg
+    for key in ("num", "id"):
+        OmegaConf.update(composed, f"hydra.job.{key}", number, force_add=True)
+    HydraConfig.instance().cfg = cast(Any, OmegaConf.masked_copy(composed, "hydra"))
+    with open_dict(composed):
+        del composed["hydra"]
+    try:
+        yield
+    finally:
+        HydraConfig.instance().cfg = before
+
+
+def _fixed(overrides: list[str], composed: DictConfig) -> list[str]:
+    """Return overrides with their present values for interpolations, such as `${now:%H-%M}`.
+
+    In the cell they could have other values, and its rows would be where nobody looks for them.
+    """
+    fixed = {each.partition("=")[0].lstrip("+"): each for each in overrides}
+    for key, text in fixed.items():
+        if "$" in text and OmegaConf.select(composed, key) is not None:
+            fixed[key] = _override(text.partition("=")[0], OmegaConf.select(composed, key))
+    for key in ("output_dir", "demonstrations"):  # of a file of the user's own
+        if key not in fixed and OmegaConf.is_interpolation(composed, key):
+            fixed[key] = _override(key, composed[key])
+    return list(fixed.values())
+
+
+def _override(key: str, value: Any) -> str:
+    """Return `key=value` in Hydra's grammar."""
+    if isinstance(value, str):
+        quoted = QuotedString(text=value, quote=Quote.double)
+        return f"{key}={quoted.with_quotes()}"
+    plain: Any = value
+    if OmegaConf.is_config(value):
+        plain = OmegaConf.to_container(value, resolve=True)
+    return f"{key}={Override._get_value_element_as_str(plain)}"
+
+
 def plan(
     jobs: Sequence[list[str]], compose: Callable[[list[str]], DictConfig], config: DictConfig
 ) -> list[Cell]:
@@ -122,16 +167,17 @@ def plan(
         UserError: all cells were refused.
     """
     cells: dict[object, Cell] = {}
-    for overrides in jobs:
+    refuse_shadowed(config.hydra.runtime.config_sources)
+    for number, overrides in enumerate(jobs):
         command = shlex.join(cell_command(overrides, config.hydra.runtime.config_sources))
         try:
             composed = compose(overrides)
             if composed.hydra.sweeper != config.hydra.sweeper:
                 groups = [each for each in overrides if each.startswith(SWEEP_GROUPS)]
                 raise UserError(f"{' '.join(groups)}: several sweeps; give one at a time")
-            with open_dict(composed):
-                del composed["hydra"]
-            run = from_hydra(composed)
+            with _as_hydra(composed, number):
+                run, overrides = from_hydra(composed), _fixed(overrides, composed)
+            command = shlex.join(cell_command(overrides, config.hydra.runtime.config_sources))
             expert = load_demonstrations(demonstrations_path(run), load_environment(run.env))
             cell = Cell(overrides, command, run, run_folder(run, expert.sha256))
             if run.resume:

@@ -32,19 +32,19 @@ class SweepProgress:
     Args:
         cells: the cells of the sweep.
         launcher: configuration of Hydra's launcher.
-        output_dir: folder of earlier runs, from whose times the remaining time is estimated.
+        *output_dirs: folders of earlier runs, from whose times the remaining time is estimated.
 
     Attributes:
         pending: the cells to run.
     """
 
-    def __init__(self, cells: Sequence[Cell], launcher: DictConfig, output_dir: Path) -> None:
+    def __init__(self, cells: Sequence[Cell], launcher: DictConfig, *output_dirs: Path) -> None:
         self._cells = cells
         self.pending = [cell for cell in cells if cell.config is not None and not cell.is_done]
         refused = sum(cell.config is None for cell in cells)
         finished = len(cells) - len(self.pending) - refused
         self._started = time.monotonic()
-        self._seconds = _expected_seconds(self.pending, output_dir)
+        self._seconds = _expected_seconds(self.pending, output_dirs)
         parts = [count(len(cells), "cell"), f"{finished} already finished"]
         if refused:
             parts.append(f"{refused} cannot be run")
@@ -136,9 +136,9 @@ class SweepProgress:
             sys.exit(f"ril-run: {len(missing)} of {count(len(self._cells), 'cell')} without rows")
 
 
-def _expected_seconds(cells: Sequence[Cell], output_dir: Path) -> np.ndarray:
+def _expected_seconds(cells: Sequence[Cell], folders: Sequence[Path]) -> np.ndarray:
     """Return the expected seconds of each cell (N,), by finished runs; NaN for a cell without."""
-    rows, _ = load_results([output_dir])  # ril-report reports files that cannot be read
+    rows, _ = load_results(folders)  # ril-report reports files that cannot be read
     return np.array([_expected(cell.config, rows) for cell in cells if cell.config is not None])
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ril import kernels
-from ril.cli.arguments import Parser
+from ril.cli import as_command
+from ril.cli.arguments import Parser, folder_of
 from ril.cli.command import MISTAKES, in_one_line
+from ril.cli.output import unfailing, written
 from ril.io.errors import UserError
 
 if TYPE_CHECKING:
@@ -27,6 +29,11 @@ examples:
 
 def main() -> None:
     """Run the command; a difference or a user's mistake is exit status 1."""
+    with written("ril-verify"):
+        _main()
+
+
+def _main() -> None:
     parser = Parser(
         "ril-verify",
         "Run finished runs again, and compare every digit of their rows and curves.",
@@ -35,7 +42,7 @@ def main() -> None:
     parser.add_argument(
         "runs",
         nargs="*",
-        type=Path,
+        type=folder_of,
         metavar="RUN",
         default=[_REFERENCE],
         help=f"folder of a run, or one that contains runs (default: {_REFERENCE})",
@@ -43,7 +50,10 @@ def main() -> None:
     parser.add_argument("--sample", type=int, metavar="N", help="verify N of them, drawn at random")
     parser.add_argument("--seeds", type=int, metavar="N", help="only the first N seeds of each run")
     try:
-        sys.exit(_verify_all(parser.parse_args()))
+        arguments = parser.parse_args()
+        with unfailing("ril-verify"):
+            differs = _verify_all(arguments)
+        sys.exit(differs)
     except MISTAKES as error:
         sys.exit(f"ril-verify: {in_one_line(error)}")
     except KeyboardInterrupt:
@@ -72,7 +82,7 @@ def _verify_all(arguments: argparse.Namespace) -> bool:
 
     from rich.console import Console
 
-    from ril.cli.display import ConsoleDisplay, count
+    from ril.cli.display import ConsoleDisplay, count, is_live
     from ril.run.verify import verify
 
     class Quiet(ConsoleDisplay):
@@ -85,7 +95,7 @@ def _verify_all(arguments: argparse.Namespace) -> bool:
     differing = 0
     for folder, config in zip(folders, configs, strict=True):
         config.seeds = config.seeds[: arguments.seeds]
-        display = Quiet(console, live=console.is_terminal)
+        display = Quiet(console, live=is_live(console))
         try:
             comparison = verify(folder, config, display)
         finally:
@@ -121,4 +131,6 @@ def _result(comparison: Comparison) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    from ril.cli.verify import main as command
+
+    as_command("ril-verify", command)

@@ -9,6 +9,7 @@ from typing import Any
 from omegaconf import MISSING
 
 from ril.io.errors import UserError
+from ril.io.numbers import LARGEST
 
 
 def within(low: float, high: float, default: Any = MISSING) -> Any:
@@ -63,6 +64,8 @@ def _check_value(key: str, value: Any, metadata: Any) -> None:
     for number in value if isinstance(value, list) else [value]:
         if isinstance(number, bool) or not isinstance(number, int | float):
             continue
+        if isinstance(number, int) and number > LARGEST:
+            raise UserError(f"{key}={number}: must be a whole number below 2**53")
         if "bounds" not in metadata:
             if not 0 < number < math.inf:
                 raise UserError(f"{key}={number}: must be a finite number above 0")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import json
 from pathlib import Path
 
 import gymnasium as gym
@@ -36,14 +38,65 @@ def demonstrations_path(config: Config) -> Path:
     if config.demonstrations is not None:
         return Path(config.demonstrations)
     level = config.ablation.expert_return
-    name = config.env.name if level is None else f"{config.env.name}_{level:g}"
-    path = shipped_path(name)
-    if not path.is_file():
+    name = _cell_name(config)
+    files = {file.stem: file for file in SHIPPED.glob("*.npz")}
+    if name not in files:
         key = "demonstrations=null" if level is None else f"ablation.expert_return={level:g}"
-        available = sorted(file.stem for file in path.parent.glob(f"{config.env.name}*.npz"))
+        available = sorted(each for each in files if each.partition("_")[0] == config.env.name)
         only = f", only for {', '.join(available)}" if available else ""
         raise UserError(f"{key}: no file is shipped for {name}{only}; give demonstrations=PATH")
-    return path
+    if (made_in := _made_in(files[name])) != config.env.id:
+        raise UserError(
+            f"env.id={config.env.id}: the file that is shipped for {name} is of {made_in}; "
+            "give demonstrations=PATH"
+        )
+    return files[name]
+
+
+def are_shipped(config: Config) -> bool:
+    """Return whether a run's demonstrations are those shipped for its cell, wherever they are.
+
+    Raises:
+        UserError: the demonstrations cannot be read.
+    """
+    if config.demonstrations is None:
+        return True
+    try:
+        shipped = demonstrations_path(dataclasses.replace(config, demonstrations=None))
+    except UserError:
+        return False
+    return content_hash(Path(config.demonstrations)) == content_hash(shipped)
+
+
+def content_hash(path: Path) -> str:
+    """Return the SHA-256 of the content of an npz file or a Minari dataset.
+
+    Raises:
+        UserError: the path is missing or cannot be read.
+    """
+    try:
+        if path.is_dir():
+            return _folder_digest(data_folder(path))
+        if path.is_file():
+            return _digest(path)
+        raise DataError("no such file or folder")
+    except DataError as fault:
+        raise UserError(f"demonstrations={path}: {fault}") from None
+    except OSError as error:
+        raise UserError(f"demonstrations={path}: cannot be read ({error.strerror})") from None
+
+
+def _cell_name(config: Config) -> str:
+    """Return the name of the file that would be shipped for a cell."""
+    level = config.ablation.expert_return
+    return config.env.name if level is None else f"{config.env.name}_{level:g}"
+
+
+def _made_in(path: Path) -> str:
+    """Return the id of the environment in which a shipped file was made, by its record."""
+    record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    made_in: str = record["config"]["env"]["id"]
+    return made_in
 
 
 def check_level(config: Config, demonstrations: Demonstrations) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 from collections.abc import Iterable
@@ -10,6 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from ril.io.errors import UserError
+
+#: What `fsync` raises where a file system cannot flush, as for folders on CIFS and some shared
+#: folders of virtual machines.
+_CANNOT_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
+#: What opening a folder raises where only files can be opened, or this one may not be read.
+_CANNOT_OPEN = (errno.EACCES, errno.EPERM, errno.EISDIR, errno.EINVAL, *_CANNOT_SYNC[1:])
 
 
 class WriteError(UserError):
@@ -32,7 +39,7 @@ def write_atomically(path: Path, *parts: bytes) -> None:
             for part in parts:
                 file.write(part)
             file.flush()
-            os.fsync(file.fileno())
+            _sync(file.fileno())
         temporary.replace(path)
         _sync_folder(path.parent)
     except OSError as error:
@@ -42,14 +49,25 @@ def write_atomically(path: Path, *parts: bytes) -> None:
             temporary.unlink(missing_ok=True)
 
 
+def _sync(number: int) -> None:
+    """Flush an open file or folder to disk, where the file system can."""
+    try:
+        os.fsync(number)
+    except OSError as error:
+        if error.errno not in _CANNOT_SYNC:
+            raise
+
+
 def _sync_folder(folder: Path) -> None:
     """Flush a renamed file's folder entry to disk, where the system lets a folder be opened."""
     try:
         opened = os.open(folder, os.O_RDONLY)
-    except PermissionError:
-        return
+    except OSError as error:
+        if error.errno in _CANNOT_OPEN:
+            return
+        raise
     try:
-        os.fsync(opened)
+        _sync(opened)
     finally:
         os.close(opened)
 

@@ -22,7 +22,7 @@ _LOCK, _HOLDER = ".lock", ".holder"
 _POLL_SECONDS = 0.2
 _NAME_READS = 5
 #: What locking a file raises on file systems without locks, as some network file systems are.
-_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL)
 
 
 class BusyError(Exception):

@@ -1,6 +1,8 @@
-"""Where the files that ship with the package are."""
+"""Where the files that ship with the package are, and the home folder in paths."""
 
 from pathlib import Path
+
+from ril.io.errors import UserError
 
 _PACKAGE = Path(__file__).parents[1]
 
@@ -21,6 +23,21 @@ def docs_folder() -> Path:
         FileNotFoundError: both are missing, so the installation is broken.
     """
     return _shipped("docs", "deviations.md", "documentation")
+
+
+def expanded(path: str) -> str:
+    """Replace a leading `~` or `~user` by the home folder, as shells do at the start of a word.
+
+    Raises:
+        UserError: there is no such user or no home folder.
+    """
+    if not path.startswith("~"):
+        return path
+    try:
+        return str(Path(path).expanduser())
+    except RuntimeError:
+        message = f"{path}: has no home folder; write ./{path} for a path of that name"
+        raise UserError(message) from None
 
 
 def _shipped(name: str, content: str, description: str) -> Path:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from ril.io.errors import UserError
 from ril.io.files import write_atomically
-from ril.io.tables import Faults, read_tables
+from ril.io.numbers import LARGEST
+from ril.io.tables import ALLOWED, LONGEST_TEXT, Faults, read_tables
 
 
 @dataclass(frozen=True)
@@ -102,10 +108,13 @@ def write_csv(path: Path, lines: Sequence[Row] | Sequence[CurvePoint]) -> None:
 
     Raises:
         WriteError: the file cannot be written.
+        UserError: a value could not be read back; nothing is written.
     """
     plain = [asdict(line) for line in lines]
     for line in plain:
         line |= line.pop("metrics", {})
+        if unreadable := _unreadable(line, _KINDS if "run_id" in line else _POINT_KINDS):
+            raise UserError(f"{path}: is not written: seed {line['seed']}: {unreadable}")
     write_atomically(path, pd.DataFrame(plain).to_csv(index=False).encode())
 
 
@@ -114,6 +123,29 @@ _KINDS: dict[str, str] = {**Row.__annotations__, **_CAN_BE_EMPTY}
 _POINT_KINDS = {
     name: CurvePoint.__annotations__[name] for name in ("seed", "epoch", "samples", "aer")
 }
+
+
+def _unreadable(line: dict[str, Any], kinds: Mapping[str, str]) -> str:
+    """Return why `read_tables` would not give a line back as it is; "" if it would."""
+    for column, kind in kinds.items():
+        value = line[column]
+        type_name, _, may_be_empty = kind.partition(" | ")
+        if type_name == "str":
+            fits = 1 <= len(value) <= LONGEST_TEXT and value.isprintable()
+            value = reprlib.repr(value)
+        elif value is None:
+            fits = False
+        elif type_name == "int":
+            fits = 0 <= value <= LARGEST
+        else:
+            fits = math.isfinite(value)
+        if not (fits or (may_be_empty and _is_empty(line[column]))):
+            return f"{column} is {value}, {ALLOWED[type_name]}"
+    return ""
+
+
+def _is_empty(value: str | float | None) -> bool:
+    return value is None or value == "" or value != value
 
 
 def load_results(folders: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
@@ -126,14 +158,13 @@ def load_results(folders: Sequence[Path]) -> tuple[pd.DataFrame, list[str]]:
 
     Returns:
         The rows, those of older files first: the fields of `Row`, and `folder`, the run's folder.
-        `performance` is NaN where the expert is no better than random.
+        `performance` is NaN where the expert is as good as random.
         A line for each thing that was left out: its file, its line, its seed if it has one, and
         the reason.
     """
     faults = Faults()
     rows = read_tables(find_files(folders, "results.csv", faults), _KINDS, faults)
-    has_scale = rows["expert_return_measured"] != rows["random_return"]
-    no_performance = rows["performance"].isna() & has_scale
+    no_performance = rows["performance"].isna() & np.isfinite(_performance(rows))
     rows = _without(rows, no_performance, "performance is '', must be a finite number", faults)
     repeated = rows.duplicated(["file", "run_id", "seed"])
     rows = _without(rows, repeated, "repeats an earlier line", faults)
@@ -174,6 +205,12 @@ def load_curves(rows: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
         faults.add(str(file), 0, f"{_seeds(group)}: has no usable point")
     found = found[["run_id", *_POINT_KINDS]].dropna().reset_index(drop=True)
     return found.astype({"epoch": int, "samples": int}), faults.messages()
+
+
+def _performance(rows: pd.DataFrame) -> pd.Series[float]:
+    """Compute the performance of rows anew, which is not finite on a scale without extent."""
+    above = rows["aer"].astype(float) - rows["random_return"].astype(float)
+    return above / (rows["expert_return_measured"] - rows["random_return"]).astype(float)
 
 
 def find_files(folders: Sequence[Path], name: str, faults: Faults) -> list[Path]:

@@ -11,11 +11,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-_LONGEST_TEXT = 10_000  # characters of a value; ours have at most some hundreds
-_ALLOWED = {
+from ril.io.numbers import LARGEST
+
+LONGEST_TEXT = 10_000  # characters of a value; ours have at most some hundreds
+#: What a value of a kind must be.
+ALLOWED = {
     "int": "must be a whole number from 0",
     "float": "must be a finite number",
-    "str": f"must have 1 to {_LONGEST_TEXT:,} characters",
+    "str": f"must have 1 to {LONGEST_TEXT:,} characters",
 }
 #: Ends each line as one more column; it is in another place if the line has columns too few or
 #: too many.
@@ -80,15 +83,15 @@ def read_tables(
         text = rows[column]
         type_name, _, may_be_empty = kind.partition(" | ")
         if type_name == "str":
-            fits = text.str.len().between(1, _LONGEST_TEXT)
+            fits = text.str.len().between(1, LONGEST_TEXT)
         else:
             rows[column] = value = pd.to_numeric(text, errors="coerce").astype(float)
             fits = value.abs() < np.inf
-            if type_name == "int":  # above 2**53, a float is not exact
-                fits &= value.between(0, 2**53) & (value % 1 == 0)
+            if type_name == "int":
+                fits &= value.between(0, LARGEST) & (value % 1 == 0)
         if may_be_empty:
             fits |= text == ""
-        refused = f"{column} is " + text[~fits].map(reprlib.repr) + f", {_ALLOWED[type_name]}"
+        refused = f"{column} is " + text[~fits].map(reprlib.repr) + f", {ALLOWED[type_name]}"
         why[~fits & (why == "")] = refused
     for index in rows.index[why != ""]:
         seed = "" if why[index].startswith("seed ") else f"seed {rows['seed'][index]:.0f}: "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -62,7 +62,7 @@ def make_logger(settings: Mapping[str, Any] | None, name: str | None) -> Logger 
 
 
 class LoggedDisplay:
-    """A display that also passes each new point of the curve to a logger.
+    """A display that also passes each new point of the curve to a logger, until that fails.
 
     Args:
         display: shows the run to the user.
@@ -70,14 +70,15 @@ class LoggedDisplay:
     """
 
     def __init__(self, display: Display, logger: Logger) -> None:
-        self._display, self._logger = display, logger
+        self._display = display
+        self._logger: Logger | None = logger
         self._logged: int | None = None  # points of the curve
         self.scoring, self.noted, self.finished = display.scoring, display.noted, display.finished
 
     def started(self, config: Config, folder: Path, epochs: int) -> None:
         """See `Display`."""
         self._display.started(config, folder, epochs)
-        self._logger.start(config, folder)
+        self._pass(lambda logger: logger.start(config, folder))
 
     def advanced(self, progress: Progress, record: Record) -> None:
         """See `Display`."""
@@ -85,8 +86,23 @@ class LoggedDisplay:
         if self._logged is None:  # earlier starts have logged the points in the checkpoint
             self._logged = sum(point.epoch < progress.epoch for point in record.curve)
         if new := record.curve[self._logged :]:
-            self._logger.log(new)
+            self._pass(lambda logger: logger.log(new))
         self._logged = len(record.curve)
+
+    def end(self) -> None:
+        """Close the log."""
+        self._pass(lambda logger: logger.finish())
+
+    def _pass(self, what: Callable[[Logger], None]) -> None:
+        """Pass something to the logger, which is dropped if it cannot write."""
+        if self._logger is None:
+            return
+        try:
+            what(self._logger)
+        except OSError as error:
+            self._logger = None
+            why = error.strerror or one_line(error)
+            self.noted(f"logging: cannot be written ({why}); training continues without it")
 
 
 class TensorBoard:

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ril.io.errors import NotFiniteError
 from ril.io.rows import CurvePoint
 from ril.methods.base import Progress
 
@@ -74,9 +75,17 @@ class Record:
             evaluated: (S,) mask of the evaluated seeds, all of which trained in this epoch.
             metrics: diagnostics of the epoch by name, each (S,).
             may_be_best: whether these policies may be selected as their seeds' best.
+
+        Raises:
+            NotFiniteError: a mean return is not a finite number.
         """
         samples = self.env_samples + self.expert_samples
         for index in np.flatnonzero(evaluated).tolist():
+            if not np.isfinite(aer[index]):
+                raise NotFiniteError(
+                    f"seed {self.seeds[index]}: the mean return after epoch {self.epochs[index]} "
+                    f"is {aer[index]}; the environment's rewards must be finite"
+                )
             of_seed = {name: float(values[index]) for name, values in metrics.items()}
             self.curve.append(
                 CurvePoint(

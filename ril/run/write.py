@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from ril.io import ended
 from ril.io.ended import Ended, write_ended
-from ril.io.errors import UserError
+from ril.io.errors import UserError, printable
 from ril.io.files import write_atomically
 from ril.io.rows import Row, write_csv
 from ril.policy import save_policies
@@ -102,7 +103,9 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
     random = float(random_returns(cell.environment, [0], config.evaluation.episodes).mean())
     expert = float(cell.demonstrations.returns.mean())
     aer = outcome.best.mean(axis=1)
-    performance = (aer - random) / (expert - random) if expert != random else aer * math.nan
+    with np.errstate(all="ignore"):
+        performance = (aer - random) / np.float64(expert - random)
+    performance[~np.isfinite(performance)] = math.nan  # the expert is as good as random
     kind, problems = digits(config), fallbacks()
     if kind == "exact" and problems:
         kind = f"not compiled: {problems[0]}"
@@ -111,7 +114,7 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
             run_id=cell.run_id,
             env=config.env.name,
             method=config.method.name,
-            variant=variant,
+            variant=printable(variant),
             seed=seed,
             **_ablation(cell),
             epochs=int(record.epochs[index]),
@@ -129,7 +132,7 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
             expert_return_measured=expert,
             wall_seconds=round(outcome.seconds, 2),
             commit=commit,
-            digits=kind,
+            digits=printable(kind),
         )
         for index, seed in enumerate(config.seeds)
     ]

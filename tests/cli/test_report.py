@@ -192,7 +192,7 @@ def test_a_locale_without_the_papers_signs_is_no_reason_to_fail(folder: Path) ->
     poor = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run(command, cwd=folder, env=poor, capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
-    assert b"-105.00 ? 0.00 (2)" in done.stdout
+    assert b"-105.00 +- 0.00 (2)" in done.stdout
 
 
 def test_tables_need_neither_torch_nor_matplotlib(folder: Path) -> None:

@@ -44,6 +44,8 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wrong_inputs")
     (folder / "file").touch()
     (folder / "empty").mkdir()
+    (folder / "shadow" / "env").mkdir(parents=True)
+    (folder / "shadow" / "env" / "mountaincar.yaml").write_text("id: Other-v0\n")
     (folder / "text.npz").write_text("no npz")
     cartpole = shipped_path("cartpole").read_bytes()
     (folder / "cartpole.npz").write_bytes(cartpole)

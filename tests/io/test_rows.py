@@ -9,47 +9,17 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from helpers.rows import ROW, row
 
 from ril.io.files import WriteError, write_atomically
 from ril.io.rows import CurvePoint, Row, load_curves, load_results, write_csv
 
-ROW = Row(
-    run_id="0123456789",
-    env="mountaincar",
-    method="ril",
-    variant="method.q_learning.loss=mse",
-    seed=0,
-    k=2.0,
-    n=150.0,
-    trajectories=1,
-    expert_return=None,
-    epochs=150,
-    total_timesteps=2_000_000,
-    best_epoch=95,
-    aer=-105.25,
-    aer_std=6.5,
-    aer_last=-110.0,
-    performance=1.25,
-    env_samples=16000,
-    expert_samples=15900,
-    pre_samples=15000,
-    samples_to_best=20000,
-    random_return=-200.0,
-    expert_return_measured=-106.0,
-    wall_seconds=61.5,
-    commit="12345e678901",
-    digits="exact",
-)
-
-
-def row(**changes: object) -> Row:
-    return dataclasses.replace(ROW, **changes)
-
 
 def written(folder: Path, *rows: Row) -> Path:
-    """Write a results.csv of some rows, by default `ROW`."""
+    """Write a results.csv of some rows, by default `ROW`, even if ril would not."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_csv(folder / "results.csv", rows or [ROW])
+    table = pd.DataFrame([dataclasses.asdict(each) for each in rows or [ROW]])
+    table.to_csv(folder / "results.csv", index=False)
     return folder / "results.csv"
 
 
