@@ -71,6 +71,7 @@ class CellSweeper(Sweeper):
         # Imported here, since Hydra loads its plugins at every start of a command.
         from ril.cli.sweep import expand, plan
         from ril.cli.sweep_progress import SweepProgress
+        from ril.io.files import make_folder
 
         config, loader = self.config, self.hydra_context.config_loader
         parser = OverridesParser.create(config_loader=loader)
@@ -82,7 +83,7 @@ class CellSweeper(Sweeper):
 
         cells = plan(jobs, compose, config)
         try:
-            Path(config.output_dir).mkdir(parents=True, exist_ok=True)
+            make_folder(Path(config.output_dir), exist_ok=True)
         except OSError as error:
             at = f"output_dir={config.output_dir}"
             raise UserError(f"{at}: cannot be written ({error.strerror})") from None

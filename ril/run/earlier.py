@@ -44,8 +44,9 @@ def has_rows(folder: Path, config: Config) -> bool:
         raise UserError(f"{left_out[0]}; {again}")
     if rows["seed"].tolist() != config.seeds or set(rows["run_id"]) != {folder.name}:
         raise UserError(f"{path}: does not hold a row per seed of {folder.name}; {again}")
-    if any((folder / name).exists() for name in ("checkpoint.pt", ".lock")):
-        # Another process may still be ending the run, or the disk may have become read-only.
+    if any((folder / name).exists() for name in ("checkpoint.pt", ".lock", ".holder")):
+        # A crash of the machine may bring back any of them. Another process may still be ending the
+        # run, or the disk may have become read-only.
         with suppress(BusyError, UserError, OSError), claimed(folder):
             (folder / "checkpoint.pt").unlink(missing_ok=True)
     return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +67,8 @@ def write_results(folder: Path, cell: Cell, outcome: Outcome, variant: str, comm
         write_csv(folder / "curve.csv", record.curve)
     # A run that has rows counts as finished, so they are written last.
     write_csv(folder / "results.csv", _rows(cell, outcome, variant, commit))
-    (folder / "checkpoint.pt").unlink(missing_ok=True)
+    with suppress(OSError):  # the next start removes it
+        (folder / "checkpoint.pt").unlink(missing_ok=True)
 
 
 def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
