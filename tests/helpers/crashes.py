@@ -34,6 +34,7 @@ from ril.run import provenance, training
 from ril.run.experiment import run
 
 _SECONDS = 120.0  # after which a command counts as stuck
+_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 _SUBREAPER = 36  # prctl's number for: orphans of my processes become my children
 
 #: Budgets below `quick_method`'s, for runs of a tenth of a second with a few checkpoints.
@@ -119,16 +120,16 @@ class Process:
 
     def wait(self) -> Ended:
         """Wait for the command, not for what it has started."""
-        limit, delay = time.monotonic() + _SECONDS, 0.001
-        while os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        limit = time.monotonic() + _SECONDS
+        # Its process stays a zombie until `end`, so that no other process gets its number.
+        while (ended := os.waitid(os.P_PID, self.pid, _ENDED)) is None:
             if time.monotonic() > limit:
-                self.end()
-                return Ended(
-                    -signal.SIGALRM, f"stuck for {_SECONDS:.0f} s: {self._said.read_text()}"
-                )
-            time.sleep(delay)
-        code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
-        return Ended(code, self._said.read_text(errors="replace"))
+                os.kill(self.pid, signal.SIGKILL)
+                return Ended(-signal.SIGALRM, f"stuck: {self._said.read_text()}")
+            time.sleep(0.001)
+        is_exit = ended.si_code == os.CLD_EXITED
+        status = ended.si_status if is_exit else -ended.si_status
+        return Ended(status, self._said.read_text(errors="replace"))
 
     def end(self) -> None:
         """Kill everything that the command has started and that is left, and wait for its end."""
@@ -185,7 +186,7 @@ class Cell:
     """
 
     def __init__(self, command: Command, work: Path, watched: str = "") -> None:
-        self._command = command
+        self._command, self._earlier = command, work / "earlier"
         self._output, self._control = work / "outputs", work / "control"
         self._watched = self._output / watched
 
@@ -199,16 +200,25 @@ class Cell:
         assert status == 0, said
         return Whole(operations(self._control), left_by(self._output))
 
+    def interrupt(self, number: int) -> None:
+        """From now on, start with what a command leaves whose process ends after an operation."""
+        self._clear()
+        process = self._start(Fault(self._control, self._watched, "after", number))
+        process.wait()
+        process.end()
+        self._output.rename(self._earlier)
+
     def crash(self, kind: str, number: int, whole: Whole) -> Outcome:
         """Run the command with a fault, run it again without one, and compare with the whole."""
         self._clear()
+        had_rows = self._has_rows()
         process = self._start(Fault(self._control, self._watched, kind, number))
         first = process.wait()
         if (self._control / "plan").exists():
             process.end()
             revert(self._control, self._output)
         done, answer = operations(self._control), _answer(first)
-        lost = _is_finished(done) and not list(self._output.glob("*/*/*/results.csv"))
+        lost = (had_rows or _is_finished(done)) and not self._has_rows()
         again = self._start(None)
         second = again.wait()
         process.end()
@@ -232,6 +242,11 @@ class Cell:
         for folder in (self._output, self._control):
             shutil.rmtree(folder, ignore_errors=True)
         self._control.mkdir()
+        if self._earlier.exists():
+            shutil.copytree(self._earlier, self._output)
+
+    def _has_rows(self) -> bool:
+        return any(self._output.glob("*/*/*/results.csv"))
 
 
 def _answer(ended: Ended) -> str:

@@ -34,8 +34,10 @@ from ril.run.identity import run_folder
 from ril.run.prepare import prepare
 
 _HASTE = 30  # submitit's seconds in a second
-#: How a command starts its runs: one without Hydra, or a sweep of two by a launcher.
-LAUNCHERS = ("alone", "basic", "joblib", "submitit_local")
+#: Without Hydra, a run that starts from nothing, from a checkpoint, or when its rows are written …
+ALONE = ("alone", "resumed", "finished")
+#: … or a sweep of two by a launcher.
+LAUNCHERS = (*ALONE, "basic", "joblib", "submitit_local")
 
 
 def is_installed(launcher: str) -> bool:
@@ -44,11 +46,16 @@ def is_installed(launcher: str) -> bool:
 
 
 def cell(launcher: str, method: str, work: Path) -> Cell:
-    """A method's cell, run alone or as the first of a sweep, in an empty folder."""
-    if launcher == "alone":
+    """A method's cell, alone or the first of a sweep, in an empty folder."""
+    if launcher in ALONE:
         command = alone(method)
         command(work / "warm")
-        return Cell(command, work)
+        made = Cell(command, work)
+        if launcher != "alone":
+            done = [(each.name, each.file) for each in made.whole().operations]
+            rows = done.index(("rename", "results.csv")) + 1
+            made.interrupt(rows if launcher == "finished" else len(done) // 2)
+        return made
     _remember_compositions()
     _fork_workers()
     argv = ["ril-run", "-m", f"hydra/launcher={launcher}", *overrides(method), "seeds=[0,1],[2,3]"]
