@@ -55,6 +55,7 @@ def warm() -> None:
     """Prepare this process for forks: a checkpoint after each epoch; nothing is found out twice."""
     torch.set_num_threads(1)
     training.CHECKPOINT_SECONDS = 0.0
+    os.fsync = lambda _: None  # takes time, and the machine does not really end
     for name in ("commit", "compiler_version", "version", "_code", "_processor"):
         setattr(provenance, name, functools.cache(getattr(provenance, name)))
     ctypes.CDLL(None).prctl(_SUBREAPER, 1, 0, 0, 0)

@@ -85,7 +85,7 @@ def _syncing(disk: Disk) -> Callable[[int], None]:
     def syncs(fd: int) -> None:
         path, status = _path_of(fd), os.fstat(fd)
 
-        def act() -> None:  # without the real one, which takes its time and adds nothing here
+        def act() -> None:  # without the real one, which takes time
             if stat.S_ISDIR(status.st_mode):
                 disk.synced(path)
             else:
