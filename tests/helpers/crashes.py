@@ -34,7 +34,6 @@ from ril.run import provenance, training
 from ril.run.experiment import run
 
 _SECONDS = 120.0  # after which a command counts as stuck
-_ENDED = os.WEXITED | os.WNOHANG | os.WNOWAIT
 _SUBREAPER = 36  # prctl's number for: orphans of my processes become my children
 
 #: Budgets below `quick_method`'s, for runs of a tenth of a second with a few checkpoints.
@@ -121,9 +120,9 @@ class Process:
 
     def wait(self) -> Ended:
         """Wait for the command, not for what it has started."""
-        limit = time.monotonic() + _SECONDS
+        limit, options = time.monotonic() + _SECONDS, os.WEXITED | os.WNOHANG | os.WNOWAIT
         # Its process stays a zombie until `end`, so that no other process gets its number.
-        while (ended := os.waitid(os.P_PID, self.pid, _ENDED)) is None:
+        while (ended := os.waitid(os.P_PID, self.pid, options)) is None:
             if time.monotonic() > limit:
                 os.kill(self.pid, signal.SIGKILL)
                 return Ended(-signal.SIGALRM, f"stuck: {self._said.read_text()}")
@@ -219,7 +218,8 @@ class Cell:
             process.end()
             revert(self._control, self._output)
         done, answer = operations(self._control), _answer(first)
-        lost = (had_rows or _is_finished(done)) and not self._has_rows()
+        had_rows |= answer == "killed" and _goes_on_after_rows(done)
+        lost = had_rows and not self._has_rows()
         again = self._start(None)
         second = again.wait()
         process.end()
@@ -247,7 +247,7 @@ class Cell:
             shutil.copytree(self._earlier, self._output)
 
     def _has_rows(self) -> bool:
-        return any(self._output.glob("*/*/*/results.csv"))
+        return any(self._watched.rglob("results.csv"))
 
 
 def _answer(ended: Ended) -> str:
@@ -263,13 +263,10 @@ def _answer(ended: Ended) -> str:
     return "refused" if ended.status == 1 and is_plain and named else ""
 
 
-def _is_finished(done: list[Operation]) -> bool:
-    """Return whether the rows were renamed, and then a folder was fsynced."""
+def _goes_on_after_rows(done: list[Operation]) -> bool:
+    """Return whether an operation followed the rows' rename: a fsync, or one that relies on it."""
     names = [(each.name, each.file) for each in done]
-    if ("rename", "results.csv") not in names:
-        return False
-    after = names[names.index(("rename", "results.csv")) + 1 : -1]
-    return any(name == "fsync" for name, _ in after)
+    return ("rename", "results.csv") in names[:-1]
 
 
 def points(whole: Whole) -> Iterator[tuple[str, int]]:
