@@ -110,6 +110,8 @@ def _naming(disk: Disk, name: str, real: Callable[..., None], undo: Undo) -> Cal
         possible = absolute.exists()
         if name == "mkdir":
             possible = not possible and absolute.parent.is_dir()
+        if name == "rmdir":
+            possible = possible and not any(absolute.iterdir())
         if not possible:
             return real(path, *rest, **options)  # fails, and changes nothing
 

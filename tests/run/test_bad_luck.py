@@ -224,7 +224,7 @@ def test_a_checkpoint_that_cannot_be_removed_does_no_harm_to_finished_rows(
     assert not (folder / "checkpoint.pt").exists()
 
 
-@pytest.mark.parametrize("name", [".lock", ".holder", "checkpoint.pt"])
+@pytest.mark.parametrize("name", [".lock", ".holder", "checkpoint.pt", ".results.csv.1.tmp"])
 def test_what_a_crash_brings_back_beside_finished_rows_is_removed(cell: Cell, name: str) -> None:
     folder = run(cell(), Silence())
     (folder / name).touch()
