@@ -77,6 +77,7 @@ class CellSweeper(Sweeper):
     def _sweep(self, arguments: list[str]) -> None:
         from ril.cli.sweep import expand, plan
         from ril.cli.sweep_progress import SweepProgress
+        from ril.io.files import make_folder
 
         config, loader = self.config, self.hydra_context.config_loader
         parser = OverridesParser.create(config_loader=loader)
@@ -91,7 +92,7 @@ class CellSweeper(Sweeper):
         places = list(dict.fromkeys(each.output_dir for each in configs if each is not None))
         for place in places:
             try:
-                Path(place).mkdir(parents=True, exist_ok=True)
+                make_folder(Path(place), exist_ok=True)
             except OSError as error:
                 at = f"output_dir={place}"
                 raise UserError(f"{at}: cannot be written ({error.strerror})") from None

@@ -8,6 +8,10 @@ killed (SIGKILL) at a random moment within the time of the first run. When a sta
 its moment, its rows and curve are compared with the first run's, and the cell starts from scratch.
 After the given number of kills the last start runs to its end. The script prints the table in
 docs/resuming.md; its exit status is 1 if anything differs.
+
+scripts/check_crashes.py ends small runs at each file operation, by functions that it puts in their
+place. This script changes nothing in the process: `ril-run` with its own start, its checkpoints
+every 5 seconds and longer runs.
 """
 
 from __future__ import annotations

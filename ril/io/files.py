@@ -58,8 +58,24 @@ def _sync(number: int) -> None:
             raise
 
 
+def make_folder(folder: Path, *, exist_ok: bool = False) -> None:
+    """Make a folder and the missing ones above it, so that a crash of the machine keeps them.
+
+    Args:
+        folder: the folder to make.
+        exist_ok: whether it may exist.
+
+    Raises:
+        OSError: it cannot be made; FileExistsError if it exists and may not.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    folder.mkdir(parents=True, exist_ok=exist_ok)
+    for each in missing:
+        _sync_folder(each.parent)
+
+
 def _sync_folder(folder: Path) -> None:
-    """Flush a renamed file's folder entry to disk, where the system lets a folder be opened."""
+    """Flush a folder's new names to disk, where the system lets a folder be opened."""
     try:
         opened = os.open(folder, os.O_RDONLY)
     except OSError as error:

@@ -16,7 +16,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from ril.io.errors import UserError
-from ril.io.files import temporary_files
+from ril.io.files import make_folder, temporary_files
 
 _LOCK, _HOLDER = ".lock", ".holder"
 _POLL_SECONDS = 0.2
@@ -90,7 +90,8 @@ def claimed(
         raise UserError(f"output_dir: {folder} cannot be written ({error.strerror})") from None
     try:
         for leftover in temporary_files(folder):
-            leftover.unlink(missing_ok=True)
+            with suppress(OSError):  # it does no harm
+                leftover.unlink(missing_ok=True)
         yield Claim(folder, holder, exclusive=lock is not None)
     finally:
         is_ours = _is_at(holder, folder / _HOLDER)
@@ -106,7 +107,7 @@ def _new(folder: Path) -> Path:
     number, wanted = 1, folder
     while True:
         try:
-            folder.mkdir(parents=True)
+            make_folder(folder)
             return folder
         except FileExistsError:
             number += 1
@@ -117,7 +118,7 @@ def _locked(folder: Path, wait: Callable[[str], object] | None) -> FileLock | No
     """Make and lock a folder; returns None if its file system has no locks."""
     while True:
         try:
-            folder.mkdir(parents=True)
+            make_folder(folder)
         except FileExistsError:
             if any(map(_is_obstructed, (folder, *folder.parents))):
                 raise

@@ -10,6 +10,7 @@ import yaml
 
 from ril.config.schema import Config
 from ril.io.errors import UserError, one_line
+from ril.io.files import temporary_files
 from ril.io.locks import BusyError, claimed
 from ril.io.rows import load_results
 from ril.run.identity import run_id
@@ -44,8 +45,10 @@ def has_rows(folder: Path, config: Config) -> bool:
         raise UserError(f"{left_out[0]}; {again}")
     if rows["seed"].tolist() != config.seeds or set(rows["run_id"]) != {folder.name}:
         raise UserError(f"{path}: does not hold a row per seed of {folder.name}; {again}")
-    if any((folder / name).exists() for name in ("checkpoint.pt", ".lock")):
-        # Another process may still be ending the run, or the disk may have become read-only.
+    leftovers = [folder / name for name in ("checkpoint.pt", ".lock", ".holder")]
+    if any(path.exists() for path in (*leftovers, *temporary_files(folder))):
+        # A crash of the machine may bring back any of them. Another process may still be ending the
+        # run, or the disk may have become read-only.
         with suppress(BusyError, UserError, OSError), claimed(folder):
             (folder / "checkpoint.pt").unlink(missing_ok=True)
     return True

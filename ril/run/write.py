@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,8 @@ def write_results(folder: Path, cell: Cell, outcome: Outcome, variant: str, comm
         write_csv(folder / "curve.csv", record.curve)
     # A run that has rows counts as finished, so they are written last.
     write_csv(folder / "results.csv", rows)
-    (folder / "checkpoint.pt").unlink(missing_ok=True)
+    with suppress(OSError):  # the next start removes it
+        (folder / "checkpoint.pt").unlink(missing_ok=True)
 
 
 def write_end(folder: Path, cell: Cell, variant: str, why: str) -> None:

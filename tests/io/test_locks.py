@@ -243,3 +243,11 @@ def test_tables_that_share_a_cell_share_its_run(quick: Any, tmp_path: Path) -> N
             skipped += display.skipped
     assert skipped == [False, False, True, False]
     assert len(list(tmp_path.rglob("results.csv"))) == 3
+
+
+def test_a_temporary_file_that_cannot_be_removed_does_no_harm(tmp_path: Path) -> None:
+    leftover = tmp_path / ".results.csv.1.tmp"
+    leftover.mkdir()  # which unlink refuses
+    with claimed(tmp_path) as claim:
+        assert claim.exclusive
+    assert leftover.exists()

@@ -205,6 +205,33 @@ def test_a_full_disk_at_the_end_is_named_and_only_scoring_is_done_again(
     assert display.epochs == []
 
 
+def test_a_checkpoint_that_cannot_be_removed_does_no_harm_to_finished_rows(
+    cell: Cell, expected: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unlink = Path.unlink
+
+    def refused(path: Path, missing_ok: bool = False) -> None:
+        if path.name == "checkpoint.pt":
+            raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+        unlink(path, missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", refused)
+        folder = run(cell(), Silence())
+    assert (folder / "checkpoint.pt").exists()
+    assert left_by(folder) == expected
+    assert run(cell(), Script()) == folder
+    assert not (folder / "checkpoint.pt").exists()
+
+
+@pytest.mark.parametrize("name", [".lock", ".holder", "checkpoint.pt", ".results.csv.1.tmp"])
+def test_what_a_crash_brings_back_beside_finished_rows_is_removed(cell: Cell, name: str) -> None:
+    folder = run(cell(), Silence())
+    (folder / name).touch()
+    assert run(cell(), Script()) == folder
+    assert not (folder / name).exists()
+
+
 def test_a_full_disk_does_no_harm_to_finished_rows(cell: Cell, small_disk: Path) -> None:
     config = cell(output=small_disk / "outputs")
     folder = run(config, Silence())

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import io
-import multiprocessing
-import os
 import re
 import shutil
-import signal
 import time
 from collections.abc import Callable
 from multiprocessing.process import BaseProcess
@@ -18,26 +15,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from helpers.server import CONTEXT
 from rich.console import Console
 
 from ril.cli.display import ConsoleDisplay
 from ril.config.schema import Config
-from ril.io import files
 from ril.run import training
 from ril.run.experiment import run
-
-# A server that has imported everything, of which each start is a fork.
-CONTEXT = multiprocessing.get_context("forkserver")
-CONTEXT.set_forkserver_preload(
-    [
-        "pytest",
-        "torch._dynamo",
-        "ril.cli.display",
-        "ril.run.experiment",
-        "gymnasium.envs.classic_control",
-    ]
-    + [f"ril.methods.{name}" for name in ("dqn", "gail", "ril")]
-)
 
 
 def start(target: Callable[..., None], *arguments: Any) -> BaseProcess:
@@ -58,24 +42,6 @@ def run_and_say(config: Config, says: Path) -> None:
     torch.set_num_threads(1)
     with says.open("w") as file:
         run(config, ConsoleDisplay(Console(file=file, width=300), live=False))
-
-
-def run_and_die(config: Config, number: int) -> None:
-    """The same, but killed just before it writes, renames or removes a file for the nth time."""
-    left = iter(range(number, 0, -1))
-
-    def or_die(act: Callable[..., Any]) -> Callable[..., Any]:
-        def acts(*arguments: Any, **options: Any) -> Any:
-            if next(left, 1) == 1:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return act(*arguments, **options)
-
-        return acts
-
-    files.os.fsync = or_die(os.fsync)
-    for name in ("replace", "unlink", "rmdir"):
-        setattr(Path, name, or_die(getattr(Path, name)))
-    run_to_the_end(config)
 
 
 def left_by(folder: Path) -> tuple[str, str, list[str]]:
@@ -136,24 +102,6 @@ def test_a_run_killed_at_random_moments_leaves_what_an_uninterrupted_one_does(
         if kills == KILLS:
             return
         shutil.rmtree(killed.output_dir)
-
-
-@pytest.mark.parametrize("method", ["gail", "ril"])
-def test_a_run_killed_before_each_of_its_writes_leaves_what_an_uninterrupted_one_does(
-    cell: Callable[..., Config], method: str
-) -> None:
-    uninterrupted, killed = (cell(f"method={method}") for _ in range(2))
-    start(run_to_the_end, uninterrupted).join()
-    number = 0
-    while True:
-        number += 1
-        process = start(run_and_die, killed, number)
-        process.join()
-        if process.exitcode == 0:
-            break
-        assert process.exitcode == -signal.SIGKILL
-    assert number > 5
-    assert left_by(only_run(killed)) == left_by(only_run(uninterrupted))
 
 
 def test_of_two_processes_asked_for_a_cell_at_once_one_runs_it(
