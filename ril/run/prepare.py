@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import platform
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,10 +17,9 @@ from ril.methods.base import Method
 from ril.methods.registry import spec
 from ril.methods.spec import MethodSpec
 from ril.run.identity import run_folder
+from ril.run.memory import keep_memory
 from ril.task import Task
 from ril.vectorized.evaluation import RANDOM_COPIES
-
-_MMAP_THRESHOLD, _TRIM_THRESHOLD = -3, -1  # parameters of malloc.h
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ def prepare(config: Config) -> Cell:
         UserError: a value or file cannot be used; nothing has been written.
     """
     torch.set_num_threads(1)
-    _keep_memory()
+    keep_memory()
     environment = load_environment(config.env)
     _check_memory(config, environment)
     _check_device(config.device)
@@ -118,18 +115,6 @@ def _physical_memory() -> int | None:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):
         return None
-
-
-def _keep_memory() -> None:
-    """Let the process keep freed memory for its next update, where the C library is glibc.
-
-    By default glibc returns large blocks to the system, which then clears their pages again at
-    every update: an eighth of PPO's time on CartPole.
-    """
-    if platform.libc_ver()[0] == "glibc":
-        libc = ctypes.CDLL(None)
-        libc.mallopt(_MMAP_THRESHOLD, 2**25)  # bytes; the largest value of all versions
-        libc.mallopt(_TRIM_THRESHOLD, 2**30)
 
 
 def _check_device(name: str) -> None:

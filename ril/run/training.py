@@ -21,6 +21,7 @@ from ril.io.locks import Claim
 from ril.io.signals import Stopped, StopRequest
 from ril.methods.base import Method, Progress
 from ril.run.checkpoints import load_checkpoint, save_checkpoint, unreadable
+from ril.run.memory import return_unused
 from ril.run.prepare import Cell
 from ril.run.provenance import origin
 from ril.run.record import Record
@@ -168,6 +169,7 @@ def _train(run: Run, record: Record, evaluation: Evaluation, display: Display) -
         except OSError:
             if stop.number is None:
                 raise  # otherwise the terminal has closed, which SIGHUP has reported
+        return_unused()
         if checkpoints.due() or stop.number is not None:
             checkpoints.save()
         if stop.number is not None:
