@@ -60,11 +60,14 @@ def _run(composed: DictConfig) -> None:
         command = " ".join(["ril-expert", *HydraConfig.get().overrides.task])
         config.output = with_home("output", config.output)
         with unfailing("ril-expert"), _progress(config, console) as on_step:
-            record = make_expert(config, command, on_step)
+            record = make_expert(
+                config,
+                command,
+                on_step,
+                lambda doubt: console.print(doubt, soft_wrap=True, markup=False),
+            )
     except MISTAKES as error:
         refuse(error)  # here, since Hydra would add a line of its own
-    for doubt in record["doubts"]:
-        console.print(doubt, soft_wrap=True, markup=False)
     returns, first = record["returns"], record["first"]
     console.print(
         f"{config.output}: {record['episodes']} episodes with return {returns['mean']:.2f} ± "

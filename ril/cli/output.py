@@ -65,16 +65,31 @@ def written(command: str) -> Iterator[None]:
     """
     open_streams()
     try:
-        try:
-            yield
-        finally:
-            sys.stdout.flush()
+        yield
+    except BrokenPipeError:
+        discard(sys.stdout)
+        sys.exit(1)
+    except BaseException:
+        if not _flushed():
+            discard(sys.stdout)
+        raise
+    try:
+        sys.stdout.flush()
     except BrokenPipeError:
         discard(sys.stdout)
         sys.exit(1)
     except OSError as error:
         discard(sys.stdout)
         sys.exit(f"{command}: the output cannot be written ({error.strerror})")
+
+
+def _flushed() -> bool:
+    """Return whether standard output could be written so far."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        return False
+    return True
 
 
 @contextmanager

@@ -129,14 +129,17 @@ def _fixed(overrides: list[str], composed: DictConfig) -> list[str]:
 
     In the cell they could have other values, and its rows would be where nobody looks for them.
     """
-    fixed = {each.partition("=")[0].lstrip("+"): each for each in overrides}
-    for key, text in fixed.items():
-        if "$" in text and OmegaConf.select(composed, key) is not None:
-            fixed[key] = _override(text.partition("=")[0], OmegaConf.select(composed, key))
+    fixed, given = [], set()
+    for override in overrides:
+        name = override.partition("=")[0]
+        key = name.lstrip("+")
+        given.add(key)
+        value = OmegaConf.select(composed, key) if "$" in override else None
+        fixed.append(override if value is None else _override(name, value))
     for key in ("output_dir", "demonstrations"):  # of a file of the user's own
-        if key not in fixed and OmegaConf.is_interpolation(composed, key):
-            fixed[key] = _override(key, composed[key])
-    return list(fixed.values())
+        if key not in given and OmegaConf.is_interpolation(composed, key):
+            fixed.append(_override(key, composed[key]))
+    return fixed
 
 
 def _override(key: str, value: Any) -> str:

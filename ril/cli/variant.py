@@ -1,4 +1,4 @@
-"""What sets a run apart from the default of its method and environment: the column `variant`."""
+"""The column `variant`: the keys with non-default values."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import itertools
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import hydra
 import yaml
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.types import Quote, QuotedString
 from omegaconf import DictConfig, OmegaConf
 
 from ril.cli.configuration import from_hydra
@@ -70,7 +70,8 @@ def default_config(env: str, method: str, folders: Sequence[str] = ()) -> DictCo
     """
     overrides = [f"env={env}", f"method={method}"]
     if folders:
-        overrides.append(f"hydra.searchpath=[{','.join(f'file://{each}' for each in folders)}]")
+        quoted = (QuotedString(f"file://{each}", Quote.double) for each in folders)
+        overrides.append(f"hydra.searchpath=[{','.join(each.with_quotes() for each in quoted)}]")
     running = GlobalHydra.instance().hydra  # of this command, whose folders may be the user's
     GlobalHydra.instance().clear()
     try:
@@ -113,8 +114,9 @@ def _shipped_environments() -> set[str]:
 
 def _completed(usual: DictConfig, config: Config) -> Config:
     """Return a default as a `Config`, with the run's name and what has no default."""
+    given = OmegaConf.create(asdict(config))
     for key in {"env.name", *OmegaConf.missing_keys(usual)}:
-        OmegaConf.update(usual, key, reduce(getattr, key.split("."), config), force_add=True)
+        OmegaConf.update(usual, key, OmegaConf.select(given, key), force_add=True)
     return from_hydra(usual)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import traceback
 from typing import Any
 
 import gymnasium as gym
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from ril.io.errors import NotFiniteError, UserError, one_line
 
-_BOOLEANS = (bool, np.bool_)
 _ANSWERS = {
     "reset": "observation, info",
     "step": "observation, reward, terminated, truncated, info",
@@ -21,7 +21,7 @@ _ANSWERS = {
 class CheckedEnvironment(gym.Wrapper[Any, Any, Any, Any]):
     """An environment whose errors and wrong answers are `UserError`s that name its method.
 
-    Finite numbers are not checked here but for many copies at once, in `ril.vectorized.copies`.
+    `ril.vectorized.copies` checks that numbers are finite, for many copies at once.
 
     Args:
         env: the environment; its observations are a one-dimensional Box.
@@ -49,10 +49,12 @@ class CheckedEnvironment(gym.Wrapper[Any, Any, Any, Any]):
             answer: Any = self.env.reset(**arguments)
         except Exception as error:
             raise self._failure("reset", error) from error
-        if type(answer) is not tuple or len(answer) != 2:
+        if not isinstance(answer, tuple | list) or len(answer) != 2:
             raise self._wrong("reset", _summary(answer), _ANSWERS["reset"])
-        self._check_observation("reset", answer[0])
-        return answer
+        observation, info = answer
+        self._check_observation("reset", observation)
+        self._check_info("reset", info)
+        return observation, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take an action.
@@ -64,16 +66,17 @@ class CheckedEnvironment(gym.Wrapper[Any, Any, Any, Any]):
             answer: Any = self.env.step(action)
         except Exception as error:
             raise self._failure("step", error) from error
-        if type(answer) is not tuple or len(answer) != 5:
+        if not isinstance(answer, tuple | list) or len(answer) != 5:
             raise self._wrong("step", _summary(answer), _ANSWERS["step"])
-        observation, reward, terminated, truncated, _ = answer
+        observation, reward, terminated, truncated, info = answer
         self._check_observation("step", observation)
-        if type(reward) is not float and not _is_number(reward):
+        if type(reward) is not float and not _is_number(reward, "fiub"):
             raise self._wrong("step", f"the reward {_summary(reward)}", "one number")
         for flag, value in (("terminated", terminated), ("truncated", truncated)):
-            if not isinstance(value, _BOOLEANS):
+            if type(value) is not bool and not _is_number(value, "biu"):
                 raise self._wrong("step", f"{flag} = {_summary(value)}", "True or False")
-        return answer
+        self._check_info("step", info)
+        return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
         """Close the environment once; errors are ignored, since its episodes are over."""
@@ -86,18 +89,25 @@ class CheckedEnvironment(gym.Wrapper[Any, Any, Any, Any]):
         if type(observation) is not np.ndarray:
             try:
                 observation = np.asarray(observation)
-            except ValueError:  # of a ragged list
-                raise self._wrong(method, "a ragged observation", self._expected) from None
+            except Exception as error:  # of a ragged list, or a tensor
+                found = f"an observation that is no array ({one_line(error)})"
+                raise self._wrong(method, found, self._expected) from error
         if observation.shape != self._shape or observation.dtype.kind not in "fiub":
             found = f"an observation of shape {observation.shape} and type {observation.dtype}"
             raise self._wrong(method, found, self._expected)
+
+    def _check_info(self, method: str, info: Any) -> None:
+        if not isinstance(info, dict):
+            raise self._wrong(method, f"info = {_summary(info)}", "a dict")
 
     @property
     def _expected(self) -> str:
         return f"numbers of shape {self._shape}, as observation_space says"
 
     def _failure(self, method: str, error: Exception) -> UserError:
-        if "unpack" in str(error):  # in a wrapper of Gymnasium, of what the environment returned
+        # A wrapper of Gymnasium that could not unpack what the environment returned.
+        *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+        if "unpack" in str(error) and frame.f_globals["__name__"].startswith("gymnasium.wrappers"):
             return self._wrong(method, f"another number of values ({error})", _ANSWERS[method])
         return failure(self._name, method, error)
 
@@ -136,8 +146,18 @@ def check_finite(name: str, what: str, values: NDArray[Any]) -> None:
         raise NotFiniteError(f"env.id={name}: {what}{entry} is {values[at]}, must be finite")
 
 
-def _is_number(value: Any) -> bool:
-    return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiub"
+def _is_number(value: Any, kinds: str) -> bool:
+    """Return whether a value is one number, also as an array without axes.
+
+    Args:
+        value: any value.
+        kinds: NumPy's letters of the allowed types.
+    """
+    try:
+        array = np.asarray(value)
+    except Exception:  # of a ragged list, or a tensor
+        return False
+    return array.ndim == 0 and array.dtype.kind in kinds
 
 
 def _summary(value: Any) -> str:

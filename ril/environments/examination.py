@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,23 +58,24 @@ def examine(environment: Environment) -> tuple[str, ...]:
 
 def _try(name: str, copy: CheckedEnvironment, actions: list[int]) -> _Trial:
     """Take actions, with a new episode whenever one is over."""
-    observations, rewards, over = [copy.reset(seed=0)[0]], [], []
+    observations, rewards, over = [_kept(copy.reset(seed=0)[0])], [], []
     for step, action in enumerate(actions):
         observation, reward, *ends, _ = copy.step(action)
-        observations.append(observation)
+        observations.append(_kept(observation))
         rewards.append(reward)
         over.append(ends)
         if any(ends):
-            observations.append(copy.reset(seed=step)[0])
-    with np.errstate(over="ignore"):  # beyond single precision: infinite
-        trial = _Trial(
-            np.array(observations, dtype=np.float32),
-            np.array(rewards, dtype=np.float32),
-            np.array(over),
-        )
+            observations.append(_kept(copy.reset(seed=step)[0]))
+    trial = _Trial(np.array(observations), _kept(rewards), np.array(over, dtype=bool))
     check_finite(name, "the observation", trial.observations)
     check_finite(name, "the reward", trial.rewards)
     return trial
+
+
+def _kept(values: Any) -> Floats:
+    """Copy values, which the environment may change in place; too large ones become infinite."""
+    with np.errstate(over="ignore"):
+        return np.array(values, dtype=np.float32)
 
 
 def _are_equal(one: _Trial, other: _Trial) -> bool:

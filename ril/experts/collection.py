@@ -56,7 +56,9 @@ def play(environment: Environment, policy: Policy, seeds: Sequence[int]) -> list
         The episodes, in the order of their seeds.
     """
     copies = [environment.make() for _ in seeds]
-    observations = [[env.reset(seed=seed)[0]] for env, seed in zip(copies, seeds, strict=True)]
+    starts = [env.reset(seed=seed)[0] for env, seed in zip(copies, seeds, strict=True)]
+    # Copied, since an environment may change its observation in place.
+    observations = [[np.array(start, dtype=np.float32)] for start in starts]
     actions: list[list[int]] = [[] for _ in seeds]
     rewards: list[list[float]] = [[] for _ in seeds]
     terminated = [False] * len(seeds)
@@ -66,7 +68,7 @@ def play(environment: Environment, policy: Policy, seeds: Sequence[int]) -> list
         still = []
         for i, action in zip(running, chosen.tolist(), strict=True):
             observation, reward, terminated[i], truncated, _ = copies[i].step(action)
-            observations[i].append(observation)
+            observations[i].append(np.array(observation, dtype=np.float32))
             actions[i].append(action)
             rewards[i].append(float(reward))
             if not (terminated[i] or truncated):

@@ -8,7 +8,7 @@ import math
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from importlib.metadata import version
@@ -24,13 +24,19 @@ from ril.experts.training import ExpertConfig, OnStep, train
 from ril.io.errors import UserError
 
 
-def make_expert(config: ExpertConfig, command: str, on_step: OnStep) -> dict[str, Any]:
+def make_expert(
+    config: ExpertConfig,
+    command: str,
+    on_step: OnStep,
+    on_doubt: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
     """Train an expert, collect its trajectories, and write both files.
 
     Args:
         config: of `ril-expert`.
         command: the command line, for the record.
         on_step: called during training; see `OnStep`.
+        on_doubt: called before training with each doubt about the environment.
 
     Returns:
         The record, as written to the `.json` file beside `config.output`.
@@ -46,6 +52,8 @@ def make_expert(config: ExpertConfig, command: str, on_step: OnStep) -> dict[str
     started = time.monotonic()
     with closing(environment):
         doubts = examine(environment)
+        for doubt in doubts:
+            on_doubt(doubt)
         collected, steps, evaluation_mean = train(config, environment, on_step)
     episodes = put_first(collected, config.first_length, config.target_return, config.margin)
     record = {

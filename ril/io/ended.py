@@ -68,7 +68,13 @@ def load_ended(folders: Sequence[Path]) -> tuple[list[Ended], list[str]]:
     for file in find_files(folders, FILE, faults):
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
-            found.append(Ended(**{name: content[name] for name in names}))
+            run = Ended(**{name: content[name] for name in names})
+            texts = run.run_id, run.env, run.method, run.variant, run.why
+            if not (all(isinstance(each, str) for each in texts) and run.seeds):
+                raise TypeError
+            if not all(type(seed) is int for seed in run.seeds):
+                raise TypeError
+            found.append(run)
         except (OSError, ValueError, LookupError, TypeError):
             faults.add(str(file), 0, "cannot be read")
     return found, faults.messages()

@@ -14,7 +14,7 @@ def printable(text: str) -> str:
     """Return a text as a row can hold it: in one line, and of a thousand characters at most.
 
     Characters that cannot be printed are escaped. The end of a longer text is replaced by a hash
-    of the whole, so that different texts stay different.
+    of the whole, so that different long texts stay different.
     """
     line = "".join(
         each if each.isprintable() else each.encode("unicode_escape").decode() for each in text

@@ -16,7 +16,7 @@ from ril.io.errors import UserError
 #: folders of virtual machines.
 _CANNOT_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 #: What opening a folder raises where only files can be opened, or this one may not be read.
-_CANNOT_OPEN = (errno.EACCES, errno.EPERM, errno.EISDIR, errno.EINVAL, *_CANNOT_SYNC[1:])
+_CANNOT_OPEN = (errno.EACCES, errno.EPERM, errno.EISDIR, *_CANNOT_SYNC)
 
 
 class WriteError(UserError):

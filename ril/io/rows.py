@@ -208,7 +208,7 @@ def load_curves(rows: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
 
 
 def _performance(rows: pd.DataFrame) -> pd.Series[float]:
-    """Compute the performance of rows anew, which is not finite on a scale without extent."""
+    """Compute the performance of rows again; not finite where the expert is as good as random."""
     above = rows["aer"].astype(float) - rows["random_return"].astype(float)
     return above / (rows["expert_return_measured"] - rows["random_return"]).astype(float)
 

@@ -45,7 +45,10 @@ class Evidence:
         rows = rows[rows["seed"] < TUNING_SEEDS].reset_index(drop=True)
         curves, bad_curves = load_curves(rows)
         ended, bad_ended = load_ended(folders)
-        reported = [run for run in ended if min(run.seeds, default=0) < TUNING_SEEDS]
+        finished = set(rows["run_id"])  # beside them, with resume=false
+        reported = [
+            run for run in ended if min(run.seeds) < TUNING_SEEDS and run.run_id not in finished
+        ]
         return cls(rows, curves, (*bad_rows, *bad_curves, *bad_ended), tuple(reported))
 
     @property

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ril.config.schema import Config
 from ril.environments.examination import examine
-from ril.io.errors import NotFiniteError, UserError, one_line
+from ril.io.errors import NotFiniteError, UserError, one_line, printable
 from ril.io.files import WriteError
 from ril.io.locks import claimed
 from ril.io.signals import Stopped, stop_on_signals
@@ -35,14 +35,17 @@ def run(config: Config, display: Display, variant: str = "") -> Path:
         UserError: a value or file cannot be used; no row has been written.
         Stopped: the user stopped it; the message says how to resume.
     """
-    cell = prepare(config)
     try:
+        cell = prepare(config)
         with closing(cell.environment):
-            return _run(cell, display, variant)
-    except MemoryError as error:
+            return _run(cell, display, printable(variant))
+    except (MemoryError, RuntimeError) as error:
+        said = one_line(error)
+        if isinstance(error, RuntimeError) and "can't allocate memory" not in said:  # torch's
+            raise
         raise UserError(
-            f"out of memory: {one_line(error)}; fewer seeds, shorter episodes, or a smaller replay "
-            "memory need less"
+            f"out of memory{': ' * bool(said)}{said}; fewer seeds, shorter episodes, or a smaller "
+            "replay memory need less"
         ) from error
 
 
@@ -55,7 +58,7 @@ def _run(cell: Cell, display: Display, variant: str) -> Path:
             return cell.folder
         refuse_changed_demonstrations(cell.folder, config, cell.demonstrations.sha256)
     doubts = examine(cell.environment)
-    fallbacks()  # those of an earlier run of this process
+    fallbacks.clear()  # of an earlier run of this process
     method = cell.build_method()
 
     def waits_for(holder: str) -> None:

@@ -33,7 +33,7 @@ def keep_memory() -> None:
 
 
 def return_unused() -> None:
-    """Return unused memory to the system, every five seconds at most."""
+    """Return unused memory to the system, at most once in five seconds."""
     global _last
     if time.monotonic() - _last > _SECONDS and (libc := _glibc()) is not None:
         libc.malloc_trim(0)

@@ -99,8 +99,12 @@ def prepare(config: Config) -> Cell:
 
 def _check_memory(config: Config, environment: Environment) -> None:
     """Refuse episodes whose random actions, drawn before they are played, do not fit in memory."""
-    seeds = len(config.seeds) if config.method.name == "random" else 1
-    needed = 8 * RANDOM_COPIES * seeds * environment.max_episode_steps
+    seeds, of_scale = len(config.seeds), min(config.evaluation.episodes, RANDOM_COPIES)
+    numbers = max(
+        of_scale * (seeds if config.method.name == "random" else 1),
+        2 * seeds * getattr(config.method, "episodes", 0),
+    )
+    needed = 16 * numbers * environment.max_episode_steps  # twice while they are stacked
     if (available := _physical_memory()) and needed > available / 2:
         raise UserError(
             f"env.id={config.env.id}: max_episode_steps={environment.max_episode_steps}: random "

@@ -25,6 +25,7 @@ from ril.run.memory import return_unused
 from ril.run.prepare import Cell
 from ril.run.provenance import origin
 from ril.run.record import Record
+from ril.vectorized.compiling import fallbacks
 from ril.vectorized.evaluation import Evaluation
 from ril.vectorized.networks import Architecture
 
@@ -206,8 +207,9 @@ def _check_finite(progress: Progress, policies: Tensor, record: Record) -> None:
     }
     found["a parameter of the policy"] = torch.isfinite(policies).all(dim=1).cpu().numpy()
     for name, is_finite in found.items():
-        if not is_finite.all():
-            seeds = [seed for seed, fine in zip(record.seeds, is_finite, strict=True) if not fine]
+        unfit = ~(is_finite | record.stopped)  # a stopped seed's record no longer changes
+        if unfit.any():
+            seeds = [seed for seed, bad in zip(record.seeds, unfit, strict=True) if bad]
             of = f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}"
             raise NotFiniteError(f"{name} of {of} is not finite since epoch {progress.epoch}")
 
@@ -237,6 +239,7 @@ class _Checkpoints:
             self._run.method.load_state_dict(state["method"])
             self._record.load_state_dict(state["record"])
             self.seconds_before = float(state["seconds"])
+            fallbacks[:] = [*map(str, state["fallbacks"]), *fallbacks]
         except Exception as error:
             raise unreadable(self._path, error) from None
 
@@ -259,6 +262,7 @@ class _Checkpoints:
             "seconds": self.seconds_before + begun - self._started,
             "method": self._run.method.state_dict(),
             "record": self._record.state_dict(),
+            "fallbacks": list(fallbacks),
         }
         try:
             save_checkpoint(self._path, self._origin, state)

@@ -16,7 +16,7 @@ import yaml
 from ril.io import ended
 from ril.io.ended import Ended, write_ended
 from ril.io.errors import UserError, printable
-from ril.io.files import write_atomically
+from ril.io.files import WriteError, write_atomically
 from ril.io.rows import Row, write_csv
 from ril.policy import save_policies
 from ril.run.earlier import DAMAGED
@@ -90,8 +90,9 @@ def write_end(folder: Path, cell: Cell, variant: str, why: str) -> None:
     """
     name, method, seeds = cell.config.env.name, cell.config.method.name, list(cell.config.seeds)
     about = Ended(cell.run_id, name, method, variant, seeds, **_ablation(cell), why=why)
-    write_ended(folder, about)
-    (folder / "checkpoint.pt").unlink(missing_ok=True)
+    with suppress(WriteError, OSError):  # the message about the number matters more
+        write_ended(folder, about)
+        (folder / "checkpoint.pt").unlink(missing_ok=True)
 
 
 def _ablation(cell: Cell) -> dict[str, Any]:
@@ -108,15 +109,15 @@ def _rows(cell: Cell, outcome: Outcome, variant: str, commit: str) -> list[Row]:
     with np.errstate(all="ignore"):
         performance = (aer - random) / np.float64(expert - random)
     performance[~np.isfinite(performance)] = math.nan  # the expert is as good as random
-    kind, problems = digits(config), fallbacks()
-    if kind == "exact" and problems:
-        kind = f"not compiled: {problems[0]}"
+    kind = digits(config)
+    if kind == "exact" and fallbacks:
+        kind = f"not compiled: {fallbacks[0]}"
     return [
         Row(
             run_id=cell.run_id,
             env=config.env.name,
             method=config.method.name,
-            variant=printable(variant),
+            variant=variant,
             seed=seed,
             **_ablation(cell),
             epochs=int(record.epochs[index]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import os
 import re
 import shutil
@@ -31,11 +32,15 @@ _WORTHWHILE = 15_000
 LEAST_ROWS = 16
 
 #: torch's message about a library that is not completely written.
-_UNFINISHED = re.compile(r"ImportError: (.+?\.so): (?:file too short|invalid ELF header)")
+_UNFINISHED = re.compile(
+    r"ImportError: (.+?\.so): (?:file too short|invalid ELF header|cannot read file data)"
+)
 _ABANDONED_SECONDS = 10  # since the last change of such a file; writing takes less than one
+_ATTEMPTS = 20
 
 _tracing = False
-_fallbacks: list[str] = []
+#: Why functions were not compiled although that was wanted. A run clears it at its start.
+fallbacks: list[str] = []
 
 #: torch's options that make a graph's digits the same on every machine (`ril.kernels`).
 _EXACT: dict[str, Any] = {
@@ -99,18 +104,20 @@ def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
 
     def call(*arguments: Any) -> Any:
         tensors = _flattened(arguments)
-        while not graphs:
+        for attempt in itertools.count(1):
+            if graphs:
+                break
             try:
                 graphs.append(_compiled(function, arguments, tensors))
             except Exception as error:  # torch's compiler errors share no base class
-                if not _unfinished_file_passed(error):
+                if attempt == _ATTEMPTS or not _clear_unfinished(error):
                     raise
         return graphs[0](*tensors)
 
     return call
 
 
-def _unfinished_file_passed(error: Exception) -> bool:
+def _clear_unfinished(error: Exception) -> bool:
     """Wait for the process that is writing a file of torch's cache, or remove a killed one's file.
 
     torch does not do so, and would never again compile a graph whose file is unfinished.
@@ -224,17 +231,10 @@ def _cause(error: Exception) -> str:
 
 
 def _fall_back(problem: str) -> None:
-    _fallbacks.append(problem)
+    fallbacks.append(problem)
     _print_once(f"ril: {problem}; training without compiling: slower, and with other last digits")
 
 
 @functools.cache
 def _print_once(line: str) -> None:
     print(line, file=sys.stderr)
-
-
-def fallbacks() -> list[str]:
-    """Return why functions were not compiled although that was wanted, since the last call."""
-    found = list(_fallbacks)
-    _fallbacks.clear()
-    return found

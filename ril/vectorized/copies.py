@@ -75,7 +75,8 @@ class GymnasiumCopies:
 
     def reset(self, index: int, seed: int) -> None:
         """Begin an episode in one copy."""
-        self.observations[index] = self._copies[index].reset(seed=seed)[0]
+        with np.errstate(over="ignore"):  # beyond single precision: infinite
+            self.observations[index] = self._copies[index].reset(seed=seed)[0]
         check_finite(self._id, "the observation", self.observations[index])
 
     def step(self, indices: Integers, actions: Integers) -> Outcome:

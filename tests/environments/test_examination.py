@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from helpers.strange import ID, RESETS, STEPS, Strange, registered, strange
+from helpers.strange import ALLOWED, ID, RESETS, STEPS, Strange, registered, strange
 
 from ril.environments.environment import Environment
 from ril.environments.examination import examine
@@ -23,10 +23,11 @@ SAYS = {
     "one entry": "step returned an observation of shape (1,) and type float32, must be numbers of "
     "shape (2,), as observation_space says",
     "a number as observation": "step returned an observation of shape ()",
-    "a ragged observation": "step returned a ragged observation",
+    "a ragged observation": "step returned an observation that is no array (",
     "text": "step returned an observation of shape (2,) and type <U1",
     "reward of shape (1,)": "step returned the reward an array of shape (1,), must be one number",
     "a vector reward": "step returned the reward an array of shape (2,), must be one number",
+    "a ragged reward": "step returned the reward [1.0, [2.0, 3.0]], must be one number",
     "no reward": "step returned the reward None, must be one number",
     "an end of shape (1,)": "step returned terminated = an array of shape (1,), must be True or",
     "an end that is text": "step returned terminated = 'no', must be True or False",
@@ -34,6 +35,9 @@ SAYS = {
     "an infinite entry": "the observation[1] is inf, must be finite",
     "too large for single precision": "the observation[0] is ",
     "NaN reward": "the reward is nan, must be finite",
+    "info that is no dict": "step returned info = None, must be a dict",
+    "unpacks too much": "step: ValueError: not enough values to unpack (expected 3, got 2)",
+    "reset: info that is no dict": "reset returned info = 5, must be a dict",
     "raises": "step: RuntimeError: the simulator is gone",
     "is out of memory": "step: MemoryError",
     "reset raises": "reset: KeyError: 'level'",
@@ -80,7 +84,12 @@ def test_a_wrong_answer_is_named_at_any_time(how: str) -> None:
     assert isinstance(told.value, NotFiniteError) is is_number
 
 
-@pytest.mark.parametrize("how", ["", "close raises", "a constant entry"])
+def test_a_buffer_that_is_changed_in_place_is_copied() -> None:
+    with pytest.raises(NotFiniteError, match=r"the observation\[1\] is nan"):
+        examine(strange("NaN in a buffer that it keeps"))
+
+
+@pytest.mark.parametrize("how", ["", "close raises", "a constant entry", *ALLOWED])
 def test_an_environment_without_fault_passes(how: str) -> None:
     assert examine(strange(how)) == ()
 

@@ -26,6 +26,7 @@ STEPS: dict[str, Any] = {
     "text": lambda o, *rest: (np.array(["a", "b"]), *rest),
     "reward of shape (1,)": lambda o, r, *rest: (o, np.array([r]), *rest),
     "a vector reward": lambda o, r, *rest: (o, np.array([r, r]), *rest),
+    "a ragged reward": lambda o, r, *rest: (o, [1.0, [2.0, 3.0]], *rest),
     "no reward": lambda o, r, *rest: (o, None, *rest),
     "an end of shape (1,)": lambda o, r, te, *rest: (o, r, np.array([te]), *rest),
     "an end that is text": lambda o, r, te, *rest: (o, r, "no", *rest),
@@ -33,12 +34,25 @@ STEPS: dict[str, Any] = {
     "an infinite entry": lambda o, *rest: (np.array([o[0], np.inf]), *rest),
     "too large for single precision": lambda o, *rest: (np.array([1e300, 0.0]), *rest),
     "NaN reward": lambda o, r, *rest: (o, float("nan"), *rest),
+    "info that is no dict": lambda *answer: (*answer[:-1], None),
+}
+#: Unusual, but allowed.
+ALLOWED: dict[str, Any] = {
+    "a list": lambda *answer: list(answer),
+    "an observation that is a list": lambda o, *rest: (o.tolist(), *rest),
+    "an observation of doubles": lambda o, *rest: (o.astype(float), *rest),
+    "a whole reward": lambda o, r, *rest: (o, 1, *rest),
+    "a reward of single precision": lambda o, r, *rest: (o, np.float32(r), *rest),
+    "a reward without axes": lambda o, r, *rest: (o, np.array(r), *rest),
+    "ends that are 0 or 1": lambda o, r, te, tr, i: (o, r, int(te), np.int8(tr), i),
+    "ends without axes": lambda o, r, te, tr, i: (o, r, np.array(te), np.bool_(tr), i),
 }
 #: What `reset` returns.
 RESETS: dict[str, Any] = {
     "reset: the observation alone": lambda o, _: o,
     "reset: three values": lambda o, i: (o, i, i),
     "reset: one entry": lambda o, i: (o[:1], i),
+    "reset: info that is no dict": lambda o, _: (o, 5),
     "reset: NaN": lambda o, i: (o * np.nan, i),
 }
 
@@ -75,6 +89,7 @@ class Strange(gym.Env[Any, Any]):
         self.observation_space = gym.spaces.Box(low, high)
         self.action_space = gym.spaces.Discrete(2)
         self.episodes = 0
+        self.buffer = np.zeros(2, dtype=np.float32)
 
     @property
     def wrong(self) -> str:
@@ -88,8 +103,8 @@ class Strange(gym.Env[Any, Any]):
         self.random = np.random.default_rng() if wrong == "ignores its seed" else self.np_random
         self.episodes += 1
         kept = self.episodes if wrong == "keeps a state" else 0
-        self.position = float(self.random.uniform(-0.5, 0.5)) + 0.01 * kept
         self.length = 0
+        self.position = float(self.random.uniform(-0.5, 0.5)) + 0.01 * kept
         answer = self.observation(), {}
         return RESETS[wrong](*answer) if wrong in RESETS else answer
 
@@ -102,11 +117,18 @@ class Strange(gym.Env[Any, Any]):
         self.position += 0.1 * (2 * int(action) - 1) + 0.02 * float(self.random.normal())
         self.position = min(2.0, max(-2.0, self.position))
         self.length += 1
+        if wrong == "unpacks too much":
+            _, _, _ = self.observation()
         answer = self.observation(), self.position, self.length >= LIMIT, False, {}
-        return STEPS[wrong](*answer) if wrong in STEPS else answer
+        changed = STEPS | ALLOWED
+        return changed[wrong](*answer) if wrong in changed else answer
 
     def observation(self) -> Any:
-        return np.array([self.position, 1.0], dtype=np.float32)
+        self.buffer[:] = self.position, 1.0
+        if self.how == "NaN in a buffer that it keeps":
+            self.buffer[1] = np.nan if self.length == 3 else 1.0
+            return self.buffer
+        return self.buffer.copy()
 
     def close(self) -> None:
         self.closed.append(self)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ RUN = Ended(
     *("0123456789", "cartpole", "iupe", "method.episodes=2", [3, 7]),
     *(None, None, 1, -140.0, "ended: a loss is NaN"),
 )
+WITHOUT_SEEDS = json.dumps(asdict(RUN) | {"seeds": None}).encode()
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -20,7 +23,9 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"{}", b"\xff", b'{"run_id": "a"}'])
+@pytest.mark.parametrize(
+    "content", [b"", b"{", b"[]", b"{}", b"\xff", WITHOUT_SEEDS, b'{"run_id": "a"}']
+)
 def test_what_cannot_be_read_is_named(tmp_path: Path, content: bytes) -> None:
     (tmp_path / FILE).write_bytes(content)
     assert load_ended([tmp_path]) == ([], [f"{tmp_path / FILE}: cannot be read"])

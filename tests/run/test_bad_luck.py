@@ -172,7 +172,7 @@ def test_a_run_stopped_on_a_full_disk_says_so_and_resumes_from_the_checkpoint_be
 AT_THE_END = {
     "policy.pt": (Evaluation, "returns"),
     "curve.csv": (write, "save_policies"),
-    "results.csv": (write, "_rows"),
+    "results.csv": (write, "write_csv"),  # of the curve
 }
 
 
