@@ -12,7 +12,6 @@ exit status is 1 if anything is wrong.
 from __future__ import annotations
 
 import argparse
-import os
 import re
 import subprocess
 import sys
@@ -67,14 +66,18 @@ def main() -> None:
         killed = sweep(seeds, outputs, Path(work, "killed"))
         kept = sweep(seeds, outputs, log)
         memory: list[float] = []
+        was_killed = False
         while kept.poll() is None:
             time.sleep(1)
             memory.append(megabytes(kept))
             if time.monotonic() - began > _KILLED_AFTER and killed.poll() is None:
                 print(f"killed one sweep with {len(rows_so_far(outputs))} of {len(seeds)} cells")
-                os.kill(killed.pid, 9)
+                killed.kill()
                 killed.wait()
+                was_killed = True
         seconds = time.monotonic() - began
+        killed.kill()
+        killed.wait()
         found = rows(outputs)
         folders = [path for path in outputs.glob("*/*/*") if path.is_dir()]
         alone = Path(work, "alone")
@@ -86,6 +89,7 @@ def main() -> None:
         repeated = found[found["seed"].isin(expected["seed"])].reset_index(drop=True)
         half = memory[len(memory) // 2 : -1] or memory
         facts = {
+            "one sweep was killed": was_killed,
             "exit status of the other sweep is 0": kept.returncode == 0,
             f"{len(seeds)} folders": len(folders) == len(seeds),
             "a row per cell": found["seed"].tolist() == [str(seed) for seed in seeds],
@@ -93,6 +97,8 @@ def main() -> None:
             "no checkpoint, lock or temporary file is left": not [
                 *outputs.rglob("checkpoint.pt"),
                 *outputs.rglob(".*.tmp"),
+                *outputs.rglob(".lock"),
+                *outputs.rglob(".holder"),
             ],
         }
         for fact, holds in facts.items():

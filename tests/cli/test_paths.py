@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 from ril.cli.arguments import folder_of
 from ril.cli.configuration import from_hydra
-from ril.cli.sweep import plan
+from ril.cli.sweep import _fixed, plan
 from ril.io import files
 from ril.io.files import WriteError, write_atomically
 from ril.io.locks import claimed
@@ -111,6 +111,11 @@ def test_the_command_of_a_cell_has_the_values_of_the_plan(tmp_path: Path) -> Non
         f'output_dir="{tmp_path}/it\'s"',
         f"seeds=[{cell.config.seeds[0]}]",
     ]
+
+
+def test_a_key_that_is_given_twice_is_given_to_the_cell_twice() -> None:
+    given = ["+env.kwargs.a=1", "env.kwargs.a=2", "method=random"]
+    assert _fixed(given, composed("method=random")) == given
 
 
 @pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOTSUP, errno.ENOSYS])

@@ -86,16 +86,20 @@ def test_what_the_users_files_say_of_a_shipped_name_is_no_default(tmp_path: Path
     assert found.startswith("env.id=Easy-v0 ")
 
 
-def test_an_environment_of_the_users_own_has_the_defaults_of_its_file(tmp_path: Path) -> None:
-    (tmp_path / "env").mkdir()
-    (tmp_path / "env" / "short.yaml").write_text(
+@pytest.mark.parametrize("name", ["mine", "a,b=(c) [d]", "it's", "größe"])
+def test_an_environment_of_the_users_own_has_the_defaults_of_its_file(
+    tmp_path: Path, name: str
+) -> None:
+    folder = tmp_path / name
+    (folder / "env").mkdir(parents=True)
+    (folder / "env" / "short.yaml").write_text(
         "name: short\nid: CartPole-v1\nkwargs: {max_episode_steps: 20}\n"
     )
     given = ("env=gym", "env.id=CartPole-v1", "env.name=short")
     with_all = from_hydra(composed(*given, "+env.kwargs.max_episode_steps=20"))
-    assert variant(with_all, "short", [str(tmp_path)]) == ""
+    assert variant(with_all, "short", [str(folder)]) == ""
     without = from_hydra(composed(*given))
-    assert variant(without, "short", [str(tmp_path)]) == "~env.kwargs.max_episode_steps"
+    assert variant(without, "short", [str(folder)]) == "~env.kwargs.max_episode_steps"
 
 
 def test_demonstrations_are_named_by_their_content(tmp_path: Path) -> None:

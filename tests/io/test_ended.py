@@ -16,8 +16,9 @@ WITHOUT_SEEDS = json.dumps(asdict(RUN) | {"seeds": None}).encode()
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    write_ended(tmp_path, RUN)
-    assert load_ended([tmp_path.parent]) == ([RUN], [])
+    (tmp_path / "run").mkdir()
+    write_ended(tmp_path / "run", RUN)
+    assert load_ended([tmp_path]) == ([RUN], [])
     assert str(RUN) == (
         "env=cartpole method=iupe method.episodes=2 seeds=[3, 7]: ended: a loss is NaN"
     )

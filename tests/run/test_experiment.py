@@ -121,6 +121,20 @@ def test_rows_say_that_compiling_was_impossible(
     assert (table(run(quick("seeds=[7]"), Silence()), "results.csv")["digits"] == "exact").all()
 
 
+def test_rows_of_a_resumed_run_say_that_its_start_was_not_compiled(
+    monkeypatch: pytest.MonkeyPatch,
+    quick_run: QuickRun,
+    checkpoints_every_epoch: None,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setenv("CXX", "missing")
+    with pytest.raises(KeyboardInterrupt):
+        quick_run(*LONGER, "compile=true", folder=tmp_path, display=Interrupt(2))
+    monkeypatch.delenv("CXX")
+    folder = quick_run(*LONGER, "compile=true", folder=tmp_path)
+    assert table(folder, "results.csv")["digits"].str.startswith("not compiled: no C++").all()
+
+
 def plain_returns(folder: Path, seed: int, which: str, episodes: int) -> list[float]:
     """Returns of a saved policy on the fresh episodes of a result, by a plain Gymnasium loop."""
     policy, copy = load_policy(folder / "policy.pt", seed, which), gym.make("CartPole-v1")
