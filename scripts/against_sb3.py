@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import torch
 
 from ril.config.schema import Config
 from ril.run.prepare import prepare
@@ -81,3 +83,21 @@ def summary(name: str, side: pd.DataFrame, columns: Sequence[str]) -> list[tuple
     means = [f"{side[c].mean():.1f} ± {side[c].std(ddof=0):.1f}" for c in columns]
     quantiles = [", ".join(f"{q:.0f}" for q in side[c].quantile([0, 0.5, 1])) for c in columns]
     return [(f"{name} ({len(side)} seeds)", means), ("lowest, median, highest", quantiles)]
+
+
+def command(run: Callable[[list[str]], None], show: Callable[[], None], usage: str | None) -> None:
+    """Do what the command line asks for: `run OVERRIDE…`, or `show`.
+
+    Args:
+        run: takes overrides of the configuration.
+        show: prints the comparison of the rows.
+        usage: what is printed if neither is asked for.
+    """
+    torch.set_num_threads(1)
+    match sys.argv[1:]:
+        case ["run", *overrides]:
+            run(overrides)
+        case ["show"]:
+            show()
+        case _:
+            sys.exit(usage)

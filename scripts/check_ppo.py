@@ -16,14 +16,12 @@ import ril  # noqa: F401 - first, because it fixes the kernels of NumPy and torc
 # isort: split
 
 import math
-import sys
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import torch
-from against_sb3 import CHECKS, COPIES, EPISODES, KEYS, SEEDS, by_ril, fill, summary
+from against_sb3 import CHECKS, COPIES, EPISODES, KEYS, SEEDS, by_ril, command, fill, summary
 from matched_dqn import composed, make_scaled
 from matched_ppo import stable_baselines_ppo
 from scipy.stats import permutation_test
@@ -151,11 +149,4 @@ def show() -> None:
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)
-    match sys.argv[1:]:
-        case ["run", *overrides]:
-            run(overrides)
-        case ["show"]:
-            show()
-        case _:
-            sys.exit(__doc__)
+    command(run, show, __doc__)

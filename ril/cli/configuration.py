@@ -89,14 +89,10 @@ def choices(group: str) -> str:
     return "\n".join(lines)
 
 
-def home(path: str) -> str:
-    """Resolve `${home:${output_dir}}` to the path with the home folder for a leading `~`."""
-    return expanded(path)
-
-
 # Registered on import, so that the worker processes of a sweep have them too.
-for resolver in (by_env, by_fidelity, choices, home):
+for resolver in (by_env, by_fidelity, choices):
     OmegaConf.register_new_resolver(resolver.__name__, resolver, replace=True)
+OmegaConf.register_new_resolver("home", expanded, replace=True)  # ${home:${output_dir}}
 
 
 def from_hydra(composed: DictConfig) -> Config:

@@ -64,32 +64,22 @@ def written(command: str) -> Iterator[None]:
             as `head`.
     """
     open_streams()
+    failed: OSError | None = None
     try:
         yield
     except BrokenPipeError:
         discard(sys.stdout)
         sys.exit(1)
-    except BaseException:
-        if not _flushed():
+    finally:
+        try:
+            sys.stdout.flush()
+        except OSError as error:
+            failed = error
             discard(sys.stdout)
-        raise
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:
-        discard(sys.stdout)
-        sys.exit(1)
-    except OSError as error:
-        discard(sys.stdout)
-        sys.exit(f"{command}: the output cannot be written ({error.strerror})")
-
-
-def _flushed() -> bool:
-    """Return whether standard output could be written so far."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        return False
-    return True
+    if failed is not None:  # and the command itself has ended well
+        is_unread = isinstance(failed, BrokenPipeError)
+        why = f"{command}: the output cannot be written ({failed.strerror})"
+        sys.exit(1 if is_unread else why)
 
 
 @contextmanager

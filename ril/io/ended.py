@@ -70,9 +70,8 @@ def load_ended(folders: Sequence[Path]) -> tuple[list[Ended], list[str]]:
             content = json.loads(file.read_text(encoding="utf-8"))
             run = Ended(**{name: content[name] for name in names})
             texts = run.run_id, run.env, run.method, run.variant, run.why
-            if not (all(isinstance(each, str) for each in texts) and run.seeds):
-                raise TypeError
-            if not all(type(seed) is int for seed in run.seeds):
+            are_texts = all(isinstance(each, str) for each in texts)
+            if not (are_texts and run.seeds and all(type(seed) is int for seed in run.seeds)):
                 raise TypeError
             found.append(run)
         except (OSError, ValueError, LookupError, TypeError):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import itertools
 import os
 import re
 import shutil
@@ -104,17 +103,25 @@ def compile_graph(function: Callable[..., Any]) -> Callable[..., Any]:
 
     def call(*arguments: Any) -> Any:
         tensors = _flattened(arguments)
-        for attempt in itertools.count(1):
-            if graphs:
-                break
-            try:
-                graphs.append(_compiled(function, arguments, tensors))
-            except Exception as error:  # torch's compiler errors share no base class
-                if attempt == _ATTEMPTS or not _clear_unfinished(error):
-                    raise
+        if not graphs:
+            graphs.append(_compiled_despite_unfinished(function, arguments, tensors))
         return graphs[0](*tensors)
 
     return call
+
+
+def _compiled_despite_unfinished(
+    function: Callable[..., Any], arguments: Sequence[Any], tensors: Sequence[Tensor]
+) -> Callable[..., Any]:
+    """Do as `_compiled`, again while a file of torch's cache is unfinished."""
+    attempts = 0
+    while True:
+        attempts += 1
+        try:
+            return _compiled(function, arguments, tensors)
+        except Exception as error:  # torch's compiler errors share no base class
+            if attempts == _ATTEMPTS or not _clear_unfinished(error):
+                raise
 
 
 def _clear_unfinished(error: Exception) -> bool:

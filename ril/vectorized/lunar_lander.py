@@ -7,9 +7,9 @@ from typing import Any, cast
 
 import numpy as np
 from gymnasium.envs.box2d import lunar_lander as constants
-from numpy.typing import NDArray
 
 from ril.environments.environment import Environment, Floats, Integers
+from ril.vectorized.copies import Outcome
 
 _SCALE = constants.SCALE
 _MAIN = constants.MAIN_ENGINE_Y_LOCATION / _SCALE
@@ -43,9 +43,7 @@ class LanderCopies:
         self.observations[index] = self._landers[index].reset(seed)
         self._steps[index] = 0
 
-    def step(
-        self, indices: Integers, actions: Integers
-    ) -> tuple[Floats, NDArray[np.bool_], NDArray[np.bool_]]:
+    def step(self, indices: Integers, actions: Integers) -> Outcome:
         """Take actions (C,) in the copies at indices (C,)."""
         outcomes = [
             self._landers[index].step(action)
